@@ -1,0 +1,1 @@
+"""Launch files, vehicle parameters and the fbn command: demo, replay, report, viewer."""

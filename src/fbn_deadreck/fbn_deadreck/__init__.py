@@ -1,0 +1,1 @@
+"""Dead reckoning: a smooth, continuous pose that never jumps."""

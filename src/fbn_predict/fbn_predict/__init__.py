@@ -1,0 +1,1 @@
+"""Integrates forces and torques into the vehicle's motion between measurements."""

@@ -1,0 +1,1 @@
+"""Absolute position and the parameters of vehicle and water, from GPS and acoustic beacons."""

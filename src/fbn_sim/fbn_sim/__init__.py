@@ -1,0 +1,1 @@
+"""Simulates the world, the vehicle and its sensors, with effects that no estimator models."""

@@ -1,0 +1,1 @@
+"""Decides which sonar detections are real things, and where they lie."""
