@@ -1,0 +1,167 @@
+"""Rotations: SO(3) with the right (body-frame) perturbation ``R Exp(dtheta)``.
+
+Every function takes and gives C-ordered float64 arrays and is compiled (numba, cached on disk), so that
+the estimators' kernels can call them.  Roll, pitch and yaw are the fixed-axis x, y, z angles of ROS:
+``R = Rz(yaw) Ry(pitch) Rx(roll)``.  Quaternions are x, y, z, w.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from fbn_common.types import Mat3, Quaternion, Vec3
+
+_SMALL = 1e-8  # rad: below it the series' next term is under the double's resolution
+
+
+@njit(cache=True)
+def skew(v: Vec3) -> Mat3:
+    """The matrix ``[v]x`` with ``[v]x w = v x w``."""
+    m = np.zeros((3, 3))
+    m[0, 1], m[0, 2] = -v[2], v[1]
+    m[1, 0], m[1, 2] = v[2], -v[0]
+    m[2, 0], m[2, 1] = -v[1], v[0]
+    return m
+
+
+@njit(cache=True)
+def so3_exp(theta: Vec3) -> Mat3:
+    """Rotation matrix of a rotation vector [rad] (Rodrigues)."""
+    a2 = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
+    a = np.sqrt(a2)
+    if a < 1e-4:  # series: next terms are a**4 / 120 and a**4 / 720
+        s, c = 1.0 - a2 / 6.0, 0.5 - a2 / 24.0
+    else:
+        s, c = np.sin(a) / a, (1.0 - np.cos(a)) / a2
+    m = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            m[i, j] = c * theta[i] * theta[j]
+        m[i, i] += 1.0 - c * a2
+    m[0, 1] -= s * theta[2]
+    m[0, 2] += s * theta[1]
+    m[1, 0] += s * theta[2]
+    m[1, 2] -= s * theta[0]
+    m[2, 0] -= s * theta[1]
+    m[2, 1] += s * theta[0]
+    return m
+
+
+@njit(cache=True)
+def quaternion_from_matrix(rotation: Mat3) -> Quaternion:
+    """Unit quaternion (x, y, z, w; w >= 0) of a rotation matrix, by its largest component."""
+    r = rotation
+    q = np.empty(4)
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    if trace > r[0, 0] and trace > r[1, 1] and trace > r[2, 2]:
+        s = 2.0 * np.sqrt(1.0 + trace)
+        q[3] = 0.25 * s
+        q[0] = (r[2, 1] - r[1, 2]) / s
+        q[1] = (r[0, 2] - r[2, 0]) / s
+        q[2] = (r[1, 0] - r[0, 1]) / s
+    else:
+        i = 0
+        if r[1, 1] > r[0, 0]:
+            i = 1
+        if r[2, 2] > r[i, i]:
+            i = 2
+        j, k = (i + 1) % 3, (i + 2) % 3
+        s = 2.0 * np.sqrt(1.0 + r[i, i] - r[j, j] - r[k, k])
+        q[i] = 0.25 * s
+        q[3] = (r[k, j] - r[j, k]) / s
+        q[j] = (r[j, i] + r[i, j]) / s
+        q[k] = (r[k, i] + r[i, k]) / s
+    if q[3] < 0.0:
+        q = -q
+    return q / np.sqrt((q * q).sum())
+
+
+@njit(cache=True)
+def matrix_from_quaternion(quaternion: Quaternion) -> Mat3:
+    """Rotation matrix of a quaternion x, y, z, w (normalised here; its norm must not be zero)."""
+    q = quaternion / np.sqrt((quaternion * quaternion).sum())
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    m = np.empty((3, 3))
+    m[0, 0], m[0, 1], m[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+    m[1, 0], m[1, 1], m[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    m[2, 0], m[2, 1], m[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+    return m
+
+
+@njit(cache=True)
+def so3_log(rotation: Mat3) -> Vec3:
+    """Rotation vector [rad], of length at most pi, of a rotation matrix (through the quaternion: stable at pi)."""
+    q = quaternion_from_matrix(rotation)
+    n = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2)
+    if n < _SMALL:
+        return 2.0 * q[:3]
+    return (2.0 * np.arctan2(n, q[3]) / n) * q[:3]
+
+
+@njit(cache=True)
+def so3_right_jacobian(theta: Vec3) -> Mat3:
+    """``Jr`` with ``Exp(theta + d) = Exp(theta) Exp(Jr d)`` to first order."""
+    a2 = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
+    if a2 < 1e-8:
+        b, c = 0.5 - a2 / 24.0, 1.0 / 6.0 - a2 / 120.0
+    else:
+        a = np.sqrt(a2)
+        b, c = (1.0 - np.cos(a)) / a2, (a - np.sin(a)) / (a2 * a)
+    k = skew(theta)
+    return np.eye(3) - b * k + c * (k @ k)
+
+
+@njit(cache=True)
+def so3_right_jacobian_inverse(theta: Vec3) -> Mat3:
+    """Inverse of :func:`so3_right_jacobian`: ``Log(Exp(theta) Exp(d)) = theta + Jr^-1 d``; for ``|theta| < 2 pi``."""
+    a2 = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
+    if a2 < 1e-6:
+        c = 1.0 / 12.0 + a2 / 720.0
+    else:
+        a = np.sqrt(a2)
+        c = 1.0 / a2 - (1.0 + np.cos(a)) / (2.0 * a * np.sin(a))
+    k = skew(theta)
+    return np.eye(3) + 0.5 * k + c * (k @ k)
+
+
+@njit(cache=True)
+def rpy_from_matrix(rotation: Mat3) -> Vec3:
+    """Roll, pitch, yaw [rad] of ``R = Rz(yaw) Ry(pitch) Rx(roll)``; pitch in [-pi/2, pi/2]."""
+    r = rotation
+    out = np.empty(3)
+    out[0] = np.arctan2(r[2, 1], r[2, 2])
+    out[1] = np.arctan2(-r[2, 0], np.sqrt(r[0, 0] ** 2 + r[1, 0] ** 2))
+    out[2] = np.arctan2(r[1, 0], r[0, 0])
+    return out
+
+
+@njit(cache=True)
+def matrix_from_rpy(rpy: Vec3) -> Mat3:
+    """``Rz(yaw) Ry(pitch) Rx(roll)`` of roll, pitch, yaw [rad]."""
+    cr, sr = np.cos(rpy[0]), np.sin(rpy[0])
+    cp, sp = np.cos(rpy[1]), np.sin(rpy[1])
+    cy, sy = np.cos(rpy[2]), np.sin(rpy[2])
+    m = np.empty((3, 3))
+    m[0, 0], m[0, 1], m[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    m[1, 0], m[1, 1], m[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    m[2, 0], m[2, 1], m[2, 2] = -sp, cp * sr, cp * cr
+    return m
+
+
+@njit(cache=True)
+def rpy_jacobian(rpy: Vec3) -> Mat3:
+    """``E`` with ``d(roll, pitch, yaw) = E dtheta`` for the body perturbation ``R Exp(dtheta)``; singular at pitch = +-pi/2."""
+    cr, sr = np.cos(rpy[0]), np.sin(rpy[0])
+    cp, tp = np.cos(rpy[1]), np.tan(rpy[1])
+    m = np.zeros((3, 3))
+    m[0, 0], m[0, 1], m[0, 2] = 1.0, sr * tp, cr * tp
+    m[1, 1], m[1, 2] = cr, -sr
+    m[2, 1], m[2, 2] = sr / cp, cr / cp
+    return m
+
+
+@njit(cache=True)
+def wrap(angle: float) -> float:
+    """The angle [rad] brought into [-pi, pi)."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
