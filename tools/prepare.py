@@ -160,7 +160,7 @@ def create_environment(requirements: Path, underlay: str) -> None:
         run(str(VENV / "bin/uv"), "pip", "install", *options, "-r", str(requirements))
         if not underlay:
             run(str(PYTHON), str(WHEELS / "write_prefix.py"))
-    cmake = [f"-DPython3_EXECUTABLE={PYTHON}", "-DBUILD_TESTING=OFF", "-DCMAKE_UNITY_BUILD=ON"]
+    cmake = [f"-DPython3_EXECUTABLE={PYTHON}", "-DBUILD_TESTING=OFF"]
     if not underlay:
         cmake.append(f"-DCMAKE_PROJECT_TOP_LEVEL_INCLUDES={WHEELS / 'fix_targets.cmake'}")
     defaults = {"build": {"symlink-install": True, "cmake-args": cmake}}
