@@ -1,0 +1,46 @@
+"""Matches judged by the true identity of what was tracked."""
+
+from __future__ import annotations
+
+import pytest
+
+from fbn_bringup.evaluation.evaluate import evaluate
+from fbn_bringup.evaluation.matches import identities, judge
+from fbn_bringup.evaluation.run import collect
+from fbn_common.records import TrackedFeatures
+
+
+def test_every_dive_of_a_right_run_is_matched_and_right(story, tell, truth_of):
+    s = story()
+    result = evaluate(collect(tell(s), truth=truth_of(s)))
+    assert (result.matched, result.false_matches) == (3, 0)
+    assert all(d.matches.right == d.matches.pairs == 4 and d.matches.wrong == 0 for d in result.dives)
+    assert result.dives[1].matches.after_s == pytest.approx(50.0, abs=0.41)
+
+
+def test_a_match_shifted_along_the_row_is_false(story, tell, truth_of):
+    s = story(wrong_pairs=4)
+    result = evaluate(collect(tell(s), truth=truth_of(s)))
+    assert (result.matched, result.false_matches) == (0, 3)
+
+
+def test_one_wrong_pair_among_four_is_counted_but_does_not_make_the_match_false(story, tell, truth_of):
+    s = story(wrong_pairs=1)
+    result = evaluate(collect(tell(s), truth=truth_of(s)))
+    assert result.matched == 3 and [d.matches.wrong for d in result.dives] == [1, 1, 1]
+
+
+def test_identity_does_not_depend_on_dead_reckonings_drift(story, tell, truth_of):
+    s = story(drift=(0.2, -0.3))  # 200 m by the end
+    run = collect(tell(s), truth=truth_of(s))
+    found = identities(run.of("tracking/features", TrackedFeatures), run.tracks["deadreck/odometry"], run.true_track, run.truth)
+    assert found == {key: key for key in range(12)}
+
+
+def test_clutter_is_no_features_and_its_pairs_are_wrong(story, truth_of):
+    truth = truth_of(story())
+    assert judge([(100, 5), (101, 1)], {5: None, 1: 1}, truth) == (1, 1)
+
+
+def test_a_key_never_located_counts_for_neither(story, truth_of):
+    assert judge([(100, 5)], {}, truth_of(story())) == (0, 0)
