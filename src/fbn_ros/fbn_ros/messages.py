@@ -1,0 +1,36 @@
+"""The message classes that rclpy publishes."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from array import array
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from fbn_common.types import Array
+
+_TYPECODES = {"double": "d", "float": "f", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q"}
+_DTYPES = {"double": np.float64, "float": np.float32}
+
+
+class RclpyMessages:
+    """ROS's own Python messages: a :class:`fbn_ros.conversion.MessageFactory`."""
+
+    def message(self, ros_type: str) -> Callable[..., Any]:
+        package, _, name = ros_type.split("/")
+        try:
+            return getattr(importlib.import_module(f"{package}.msg"), name)  # type: ignore[no-any-return]
+        except (ImportError, AttributeError):
+            raise KeyError(f"no message {ros_type}: is its package built, and its workspace sourced?") from None
+
+    def numbers(self, ros_type: str, field: str) -> Callable[[Array | Sequence[int]], Any]:
+        """Fixed arrays stay numpy; sequences become ``array.array``, which rclpy takes as it is, without a look at each."""
+        declared: str = self.message(ros_type).get_fields_and_field_types()[field]  # type: ignore[attr-defined]
+        if (fixed := re.fullmatch(r"(\w+)\[\d+\]", declared)) is not None:
+            dtype = _DTYPES[fixed[1]]
+            return lambda values: np.asarray(values, dtype=dtype)
+        code = _TYPECODES[declared.removeprefix("sequence<").removesuffix(">")]
+        return lambda values: array(code, np.asarray(values, dtype=code).tobytes())
