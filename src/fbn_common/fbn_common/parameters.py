@@ -117,15 +117,16 @@ def read_yaml(path: Path, node: str) -> dict[str, Any]:
         body = document.get(section, {}) if isinstance(document, dict) else None
         if not isinstance(body, dict) or (body and set(body) != {"ros__parameters"}):
             raise ParameterError(f"{path}: section {section!r} must hold 'ros__parameters:' and nothing else")
-        flat |= _dotted(body.get("ros__parameters") or {})
+        flat |= dotted(body.get("ros__parameters") or {})
     return flat
 
 
-def _dotted(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def dotted(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A tree of mappings as one mapping of dotted names."""
     flat: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, dict):
-            flat |= _dotted(value, f"{prefix}{key}.")
+            flat |= dotted(value, f"{prefix}{key}.")
         else:
             flat[f"{prefix}{key}"] = value
     return flat
