@@ -9,15 +9,21 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
+from fbn_bringup import rundir
+from fbn_bringup.configuration import load_parameters
+from fbn_bringup.rundir import STEP_S, OnProgress, ReplayOptions, RunSummary
 from fbn_common.graph import Graph
 from fbn_common.records import Record
 from fbn_common.types import nanoseconds
+from fbn_ros.bag import BagReader, BagWriter
+from fbn_ros.cdr import Cdr
 from fbn_ros.conversion import ConversionError
 from fbn_ros.host import Host
 
-STEP_S = 0.2
+GAP_S = 60.0  # s: a longer silence in a log is skipped; the nodes advance over it in one step
 
 Entry = Record | ConversionError
 Batch = defaultdict[str, list[Entry]]
@@ -36,11 +42,14 @@ def steps(log: Iterable[tuple[int, str, Any]], step_s: float = STEP_S) -> Iterat
 
     A log time that decreases stays in the step that is open.
     """
-    length = nanoseconds(step_s)
+    length, gap = nanoseconds(step_s), nanoseconds(GAP_S)
     end_ns, batch = 0, list[tuple[int, str, Any]]()
     for entry in log:
         own_end = -(-entry[0] // length) * length
         end_ns = end_ns or own_end
+        if own_end > end_ns + gap:
+            yield Step(end_ns, batch)
+            end_ns, batch = own_end, []
         while own_end > end_ns:
             yield Step(end_ns, batch)
             end_ns, batch = end_ns + length, []
@@ -55,6 +64,7 @@ class Runner:
     def __init__(self, hosts: list[Host]) -> None:
         self.hosts = hosts
         self._feedback = {topic for host in hosts for topic in host.node.feedback}
+        self._cdr = Cdr()
         self._fed_back: Batch = defaultdict(list)
 
     @classmethod
@@ -71,6 +81,7 @@ class Runner:
         for host in self.hosts:
             self._feed(host, batch)
             for topic, record in host.advance(end_ns):
+                record = self._cdr.as_sent(record)
                 batch[topic].append(record)
                 published.append((topic, record))
         self._fed_back = defaultdict(list, {t: batch[t] for t in self._feedback if t in batch})
@@ -107,3 +118,31 @@ def stamped(end_ns: int, outputs: list[Any]) -> Iterator[tuple[int, Any]]:
     """A step's outputs with log times that keep their order, one nanosecond apart, and end with the step."""
     first = end_ns - len(outputs) + 1
     return ((first + i, output) for i, output in enumerate(outputs))
+
+
+def replay_offline(
+    bag: Path, run: Path, options: ReplayOptions = ReplayOptions(), on_progress: OnProgress | None = None
+) -> RunSummary:
+    """Replay a log in this process and write the run directory.
+
+    Raises BagError, ParameterError, or KeyError for a node in ``only`` that does not exist.
+    """
+    graph = options.graph
+    parameters = load_parameters(graph, options.parameter_files, options.overrides)
+    with BagReader(bag, options.namespace) as reader:
+        inputs = rundir.inputs_of(reader, graph)
+        runner = Runner.build(graph, parameters)
+        with BagWriter(rundir.create(run)) as writer:
+            meter = rundir.Meter(reader, on_progress)
+            for step in steps(rundir.without_outputs(reader, graph)):
+                logged = [(t, topic, reader.decode(topic, raw)) for t, topic, raw in step.logged if topic in inputs]
+                for log_time_ns, topic, raw in step.logged:
+                    writer.copy(log_time_ns, topic, raw, reader)
+                for log_time_ns, (topic, record) in stamped(step.end_ns, runner.step(step.end_ns, logged)):
+                    writer.write(log_time_ns, topic, record)
+                meter.at(step.end_ns)
+            nodes = {host.node.name: rundir.NodeSummary.of(host) for host in runner.hosts}
+            counts = writer.counts
+        summary = rundir.summarise(reader, options, parameters, "offline", meter.wall_s, nodes, counts)
+        rundir.write_run(run, summary)
+    return summary

@@ -118,6 +118,10 @@ class BagReader:
         """rosbags' own account of a topic: type, definition, quality of service."""
         return next(c for c in self._connections.values() if self._name(c) == topic)
 
+    def all_connections(self) -> list[Connection]:
+        """Everything in the bag, with full names, also outside the namespace."""
+        return list(self._connections.values())
+
     def check_type(self, topic: str) -> None:
         """Raise BagError unless the topic's type is the one that the graph declares."""
         connection, expected = self.connection(topic), self.known[topic].ros_type
@@ -199,21 +203,34 @@ class BagWriter:
         """Append a record."""
         self.write_raw(log_time_ns, topic, record.ros_type, self._cdr.encode(record))
 
-    def write_raw(
-        self, log_time_ns: int, topic: str, ros_type: str, data: bytes, source: Connection | None = None
-    ) -> None:
-        """Append a message's bytes; ``source`` defines a type that is not known here."""
+    def write_raw(self, log_time_ns: int, topic: str, ros_type: str, data: bytes) -> None:
+        """Append a message's bytes."""
         if topic not in self._connections:
-            self._connections[topic] = self._connect(topic, ros_type, source)
+            self._connections[topic] = self._connect(topic, ros_type)
+        self._append(log_time_ns, topic, data)
+
+    def copy(self, log_time_ns: int, topic: str, data: bytes, source: BagReader) -> None:
+        """Append a message of another bag as it is, whatever its type."""
+        if topic not in self._connections:
+            origin = source.connection(topic)
+            if origin.msgtype in self._cdr.messages.store.types:
+                self._connections[topic] = self._connect(topic, origin.msgtype)
+            else:
+                digest = origin.digest or "RIHS01_" + 64 * "0"
+                self._connections[topic] = self._writer.add_connection(
+                    _absolute(topic), origin.msgtype, msgdef=origin.msgdef.data, rihs01=digest
+                )
+        self._append(log_time_ns, topic, data)
+
+    def _append(self, log_time_ns: int, topic: str, data: bytes) -> None:
         self._writer.write(self._connections[topic], log_time_ns, data)
         self.counts[topic] += 1
 
-    def _connect(self, topic: str, ros_type: str, source: Connection | None) -> Connection:
-        store, name = self._cdr.messages.store, f"/{topic.lstrip('/')}"
-        if topic in self.known:
-            qos = [bag_qos(self.known[topic])]
-            return self._writer.add_connection(name, ros_type, typestore=store, offered_qos_profiles=qos)
-        if ros_type in store.types or source is None:
-            return self._writer.add_connection(name, ros_type, typestore=store)
-        definition, digest = source.msgdef.data, source.digest or "RIHS01_" + 64 * "0"
-        return self._writer.add_connection(name, ros_type, msgdef=definition, rihs01=digest)
+    def _connect(self, topic: str, ros_type: str) -> Connection:
+        qos = [bag_qos(self.known[topic])] if topic in self.known else []
+        store = self._cdr.messages.store
+        return self._writer.add_connection(_absolute(topic), ros_type, typestore=store, offered_qos_profiles=qos)
+
+
+def _absolute(topic: str) -> str:
+    return f"/{topic.lstrip('/')}"

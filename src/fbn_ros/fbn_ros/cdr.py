@@ -20,11 +20,21 @@ class Cdr:
     def __init__(self, messages: RosbagsMessages | None = None) -> None:
         self.messages = messages or RosbagsMessages()
         self.conversion = Conversion(self.messages)
+        self._narrows: dict[str, bool] = {}
 
     def encode(self, record: Record) -> bytes:
         """The bytes of the record's message."""
         message = self.conversion.to_message(record)
         return bytes(self.messages.store.serialize_cdr(message, record.ros_type))
+
+    def as_sent(self, record: R) -> R:
+        """The record as a subscriber gets it: where its message has single-precision numbers, they are rounded."""
+        ros_type = record.ros_type
+        if ros_type not in self._narrows:
+            self._narrows[ros_type] = self.messages.narrows(ros_type)
+        if not self._narrows[ros_type]:
+            return record
+        return self.decode(ros_type, type(record), self.encode(record))
 
     def decode(self, topic: str, record_type: type[R], data: bytes) -> R:
         """The record in a message's bytes, checked; raises ConversionError, also for bytes that are no such message."""

@@ -57,3 +57,15 @@ class RosbagsMessages:
             raise TypeError(f"{ros_type}: {field} is not an array")
         dtype = np.dtype(description[0][1][0])
         return lambda values: np.asarray(values, dtype=dtype)
+
+    def narrows(self, ros_type: str) -> bool:
+        """Whether the type holds single-precision numbers, itself or in a part."""
+        return any(self._narrow(description) for _, description in self.store.fielddefs[ros_type][1])
+
+    def _narrow(self, description: Any) -> bool:
+        kind, detail = description
+        if kind is Nodetype.BASE:
+            return bool(detail[0] == "float32")
+        if kind is Nodetype.NAME:
+            return self.narrows(detail)
+        return self._narrow(detail[0])
