@@ -1,0 +1,58 @@
+"""``fbn campaign``: one scenario over many seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fbn_bringup.commands import options as o
+
+HELP = """Simulate, navigate and evaluate a scenario over many seeds, in parallel processes.
+
+A claim is over many seeds, with its spread and its worst, never one lucky run. Writes one row per seed to CSV, and
+the summary to JSON. A seed that fails is a row with its error, and the exit status is 1.
+
+Examples:
+
+  fbn campaign charles_river_2006 --seeds 0:20
+
+  fbn campaign row_ambiguity --seeds 0:100 --set global.matching=JCBB -o out/jcbb
+"""
+
+
+def campaign(
+    scenario: Annotated[str, typer.Argument(help="A scenario's name or file.")],
+    seeds: Annotated[str, typer.Option(metavar="A:B", help="From A up to, not including, B.")] = "0:20",
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: out/campaign_SCENARIO.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
+    params: o.Params = None,
+    settings: o.Set = None,
+) -> None:
+    from fbn_bringup import campaign as c
+    from fbn_bringup import ui
+
+    numbers = _range(seeds)
+    plan = c.Plan(scenario, tuple(params or ()), tuple(settings or ()))
+    with ui.progress(f"{scenario}: {len(numbers)} seeds") as advance:
+        rows = c.run_campaign(plan, numbers, jobs, lambda done: advance(done / len(numbers), f"{done} of {len(numbers)}"))
+    target = output or Path("out") / f"campaign_{Path(scenario).stem}"
+    written = c.write(target, plan, rows)
+    ui.out.print(c.summary_table(plan, rows), "")
+    for row in rows:
+        if row.error:
+            ui.err.print(f"[red]seed {row.seed}:[/] {ui.escape(row.error)}")
+    ui.out.print(f"rows: [bold]{written}[/]")
+    raise typer.Exit(1 if any(row.error for row in rows) else 0)
+
+
+def _range(seeds: str) -> range:
+    from fbn_bringup.ui import fail
+
+    first, colon, last = seeds.partition(":")
+    try:
+        found = range(int(first), int(last) if colon else int(first) + 1)
+    except ValueError:
+        fail(f"--seeds {seeds!r}: expected A:B, e.g. 0:20", 2)
+    return found or fail(f"--seeds {seeds!r}: is empty; A must be less than B", 2)

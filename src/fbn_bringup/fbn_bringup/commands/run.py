@@ -1,0 +1,40 @@
+"""``fbn run``: the nodes on the vehicle."""
+
+from __future__ import annotations
+
+import typer
+
+from fbn_bringup.commands import options as o
+
+HELP = """Run the nodes on the vehicle until Ctrl-C.
+
+Starts each node as a process, restarts one that dies, and leaves none behind. DDS stays on this host unless you open
+it: see docs/howto/open-to-a-network-and-secure.md. With ROS installed, the same graph starts by
+ros2 launch fbn_bringup fbn.launch.py.
+
+Examples:
+
+  fbn run --params ranger.yaml --map field.geojson
+
+  fbn run --namespace ranger --params ranger.yaml
+
+  fbn run --only predict,deadreck              dead reckoning alone
+"""
+
+
+def run(
+    params: o.Params = None,
+    settings: o.Set = None,
+    prior_map: o.Map = None,
+    namespace: o.Namespace = "",
+    only: o.Only = "",
+) -> None:
+    from fbn_bringup.live import run_live
+
+    code = run_live(
+        tuple(params or ()),
+        namespace=namespace.strip("/"),
+        overrides=o.overrides(settings, prior_map),
+        only=o.nodes(only),
+    )
+    raise typer.Exit(code)

@@ -1,0 +1,132 @@
+"""Figures of matching, tracking and traffic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from fbn_bringup.evaluation.run import Run
+from fbn_bringup.report import layers as ly
+from fbn_bringup.report import style as st
+from fbn_bringup.report.figures import GAP, base, line, markers, quiet_titles, rounded, shade_dives, styled
+from fbn_bringup.report.overlay import Overlay, hypothesis_lines, overlays
+from fbn_common import records as r
+from fbn_common.graph import GRAPH
+
+STATES = {"UNMATCHED": st.MUTED, "MATCHED": st.GLOBAL.colour, "AMBIGUOUS": st.DEADRECK.colour, "LOST": st.TARGET.colour}
+
+
+def hypothesis_figure(run: Run) -> go.Figure | None:
+    """Posterior and score of the hypotheses, and where the filter stands, over time."""
+    lines = hypothesis_lines(run)
+    if not lines:
+        return None
+    titles = ["posterior of the hypotheses", "log score against the null hypothesis", "features matched"]
+    figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.08, subplot_titles=titles, row_heights=[0.42, 0.33, 0.25])
+    for i, h in enumerate(lines):
+        look = st.Look("nothing matched", st.MUTED, 1.4, "dot") if h.null else st.Look(f"hypothesis {h.id}", st.CYCLE[i % 8])
+        text = [f"{int(n)} pairs" for n in h.pairs]
+        for row, values in ((1, h.posterior), (2, h.log_score)):
+            trace = line(h.minutes, values, look, mode="lines+markers", marker=dict(size=4), text=text, showlegend=row == 1)
+            figure.add_trace(trace, row, 1)
+    _add_states(figure, run)
+    figure.update_yaxes(range=[-0.03, 1.03], row=1)
+    figure.update_yaxes(rangemode="tozero", row=3)
+    shade_dives(figure, run, 3)
+    figure.update_xaxes(title_text="minutes since start", row=3)
+    return quiet_titles(styled(figure, 560))
+
+
+def _add_states(figure: go.Figure, run: Run) -> None:
+    statuses = run.of("global/status", r.LocalizationStatus)
+    if not statuses:
+        return
+    time = ly.minutes(run, np.array([s.stamp_ns for s in statuses]))
+    counts = np.array([s.features_matched for s in statuses], dtype=float)
+    figure.add_trace(line(time, counts, st.Look("features matched", st.MUTED, 1.2), line_shape="hv", showlegend=False), 3, 1)
+    for state, colour in STATES.items():
+        inside = np.array([s.state.name == state for s in statuses])
+        if inside.any():
+            reasons = [s.reason for s, there in zip(statuses, inside, strict=True) if there]
+            dots = go.Scatter(
+                x=rounded(time[inside]), y=counts[inside], mode="markers", marker=dict(color=colour, size=6), name=state.lower(),
+                text=reasons, hovertemplate="%{y} features<br>%{text}",
+            )  # fmt: skip
+            figure.add_trace(dots, 3, 1)
+
+
+def overlay_figure(run: Run) -> go.Figure | None:
+    """What was tracked in each dive, laid on the map by its best hypothesis; a button per dive."""
+    made = overlays(run)
+    if not made:
+        return None
+    figure = base(560, xaxis_title="east [m]", yaxis_title="north [m]", hovermode="closest")
+    figure.update_yaxes(scaleanchor="x", scaleratio=1)
+    owners: list[int] = []
+    for i, overlay in enumerate(made):
+        traces = _overlay_traces(overlay, visible=i == len(made) - 1)
+        figure.add_traces(traces)
+        owners += [i] * len(traces)
+    buttons = [
+        dict(label=f"dive {o.dive}", method="restyle", args=[{"visible": [owner == i for owner in owners]}])
+        for i, o in enumerate(made)
+    ]
+    menu = dict(type="buttons", direction="right", x=0, y=1.08, xanchor="left", yanchor="bottom", buttons=buttons, active=len(made) - 1)
+    figure.update_layout(updatemenus=[menu])
+    return figure
+
+
+def _overlay_traces(o: Overlay, visible: bool) -> list[Any]:
+    lines = [end for a, b in o.pairs for end in (o.map_xy[a], o.tracked_xy[b], (GAP, GAP))]
+    traces: list[Any] = [
+        line(o.path_xy[:, 0], o.path_xy[:, 1], st.GLOBAL, visible=visible),
+        go.Scatter(
+            x=[p[0] for p in lines], y=[p[1] for p in lines], mode="lines", visible=visible, hoverinfo="skip",
+            line=dict(color=st.TARGET.colour, width=2), name=f"pairs (posterior {o.posterior:.2f})",
+        ),
+        markers(o.map_xy, st.ESTIMATED, "x-thin", 10, o.map_labels, visible=visible),
+    ]  # fmt: skip
+    if len(o.tracked_xy):
+        traces.append(markers(o.tracked_xy, st.TRACKED, "circle", 7, tuple(str(i) for i in range(len(o.tracked_xy))), visible=visible))
+    return traces
+
+
+def tracking_figure(run: Run) -> go.Figure | None:
+    """Infants, features and retired features, with the detections per ping below."""
+    messages = run.of("tracking/features", r.TrackedFeatures)
+    if not messages:
+        return None
+    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.12, subplot_titles=["tracked, by stage", "detections per ping"])
+    messages = [messages[i] for i in ly.thinned(len(messages))]
+    time = ly.minutes(run, np.array([m.stamp_ns for m in messages]))
+    for stage, colour in zip(r.Stage, ("#56b4e9", "#009e73", "#7b8794"), strict=True):
+        counts = np.array([sum(f.stage == stage for f in m.features) for m in messages], dtype=float)
+        figure.add_trace(line(time, counts, st.Look(stage.name.lower(), colour), line_shape="hv"), 1, 1)
+    pings = run.of("sonar/detections", r.SonarDetections)
+    pings = [pings[i] for i in ly.thinned(len(pings), 3000)]
+    if pings:
+        x, y = ly.minutes(run, np.array([p.stamp_ns for p in pings])), np.array([len(p.detections) for p in pings], dtype=float)
+        figure.add_trace(go.Scatter(x=rounded(x), y=y, mode="markers", marker=dict(size=3, color=st.MUTED), showlegend=False), 2, 1)
+    shade_dives(figure, run, 2)
+    figure.update_xaxes(title_text="minutes since start", row=2)
+    return quiet_titles(styled(figure, 420))
+
+
+def latency_figure(run: Run) -> go.Figure | None:
+    """From measurement to log, per topic: median, and the span from 5 to 95 %."""
+    topics = [t for t in GRAPH.topics if t in run.traffic and not t.endswith("/innovations")]
+    if not topics:
+        return None
+    q = np.array([np.quantile(run.traffic[t].latency, [0.05, 0.5, 0.95]) * 1e3 for t in topics])
+    figure = base(90 + 24 * len(topics), xaxis_title="from measurement to log [ms]", hovermode="closest")
+    error = dict(type="data", symmetric=False, array=rounded(q[:, 2] - q[:, 1]), arrayminus=rounded(q[:, 1] - q[:, 0]), thickness=1.4, width=0)
+    colours = [st.MUTED if GRAPH.publisher(t) is None else st.REFERENCE.colour for t in topics]
+    text = [f"{run.traffic[t].rate:.2f} Hz, longest gap {run.traffic[t].longest_gap():.1f} s" for t in topics]
+    figure.add_trace(go.Scatter(
+        x=rounded(q[:, 1]), y=topics, mode="markers", error_x=error, text=text, marker=dict(size=8, color=colours),
+        hovertemplate="%{y}: median %{x:.0f} ms<br>%{text}<extra></extra>", showlegend=False))  # fmt: skip
+    figure.update_yaxes(autorange="reversed", ticksuffix=" ", gridcolor="white")
+    return figure
