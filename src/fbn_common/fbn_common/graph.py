@@ -23,13 +23,17 @@ class Qos(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic's contract; ``depth`` is the number of messages kept (10 s of them for a flow)."""
+    """A topic's contract; ``depth`` is the number of messages kept (10 s of them for a flow).
+
+    ``without`` says what its takers do when nothing comes.
+    """
 
     name: str
     record: type[r.Record]
     qos: Qos
     depth: int
     about: str
+    without: str = ""
 
     @property
     def ros_type(self) -> str:
@@ -90,23 +94,59 @@ def _innovations(node: str) -> Topic:
 
 
 _TOPICS: Final = (
-    Topic("imu/data", r.Imu, Qos.SENSOR, 100, "3-axis compass: orientation with covariance"),
-    Topic("pressure", r.FluidPressure, Qos.SENSOR, 100, "absolute pressure"),
-    Topic("altitude", r.Range, Qos.SENSOR, 100, "altimeter"),
-    Topic("gps/fix", r.NavSatFix, Qos.SENSOR, 20, "GPS, while on the surface"),
-    Topic("lbl/range", r.BeaconRange, Qos.SENSOR, 50, "range to an acoustic beacon"),
-    Topic("actuators", r.JointState, Qos.SENSOR, 100, "propeller rate, and pan and tilt or fins"),
-    Topic("sonar/detections", r.SonarDetections, Qos.SENSOR, 100, "one per array and ping, also when empty"),
-    Topic("predict/motion", r.PredictedMotion, Qos.FLOW, 1000, "motion increments with Jacobians and noise"),
+    Topic(
+        "imu/data", r.Imu, Qos.SENSOR, 100, "3-axis compass: orientation with covariance",
+        "attitude by prediction alone, heading drifts",
+    ),
+    Topic("pressure", r.FluidPressure, Qos.SENSOR, 100, "absolute pressure", "depth by prediction alone"),
+    Topic("altitude", r.Range, Qos.SENSOR, 100, "altimeter", "no bottom: up and down look alike to the sonar"),
+    Topic(
+        "gps/fix", r.NavSatFix, Qos.SENSOR, 20, "GPS, while on the surface",
+        "position by dead reckoning and beacons alone",
+    ),
+    Topic(
+        "lbl/range", r.BeaconRange, Qos.SENSOR, 50, "range to an acoustic beacon",
+        "position by dead reckoning and GPS alone",
+    ),
+    Topic(
+        "actuators", r.JointState, Qos.SENSOR, 100, "propeller rate, and pan and tilt or fins",
+        "motion at constant velocity, uncertainty grows fast",
+    ),
+    Topic(
+        "sonar/detections", r.SonarDetections, Qos.SENSOR, 100, "one per array and ping, also when empty",
+        "no features, so no match to the map",
+    ),
+    Topic(
+        "predict/motion", r.PredictedMotion, Qos.FLOW, 1000, "motion increments with Jacobians and noise",
+        "the filters stand still",
+    ),
     Topic("predict/parameters", r.VehicleParameters, Qos.LATCHED, 10, "the parameters that predict now uses"),
-    Topic("deadreck/odometry", r.Odometry, Qos.FLOW, 300, "smooth pose, odom to base_link"),
-    Topic("deadreck/ping_motion", r.PingMotion, Qos.FLOW, 100, "the dead service, each ping"),
+    Topic(
+        "deadreck/odometry", r.Odometry, Qos.FLOW, 300, "smooth pose, odom to base_link",
+        "the position on the map is not carried on between updates",
+    ),
+    Topic(
+        "deadreck/ping_motion", r.PingMotion, Qos.FLOW, 100, "the dead service, each ping",
+        "no tracking: pings wait for their poses",
+    ),
     Topic("reference/odometry", r.Odometry, Qos.FLOW, 300, "absolute pose, map to base_link; may jump"),
-    Topic("reference/parameters", r.VehicleParameters, Qos.LATCHED, 10, "vehicle and water parameters, estimated"),
-    Topic("reference/fix", r.ReferenceFix, Qos.FLOW, 100, "xy information gained"),
-    Topic("reference/datum", r.Datum, Qos.LATCHED, 1, "geodetic origin of map"),
+    Topic(
+        "reference/parameters", r.VehicleParameters, Qos.LATCHED, 10, "vehicle and water parameters, estimated",
+        "prediction with the default parameters",
+    ),
+    Topic(
+        "reference/fix", r.ReferenceFix, Qos.FLOW, 100, "xy information gained",
+        "position on the map from features alone",
+    ),
+    Topic(
+        "reference/datum", r.Datum, Qos.LATCHED, 1, "geodetic origin of map",
+        "no place on a prior map until it comes",
+    ),
     Topic("tracking/features", r.TrackedFeatures, Qos.FLOW, 50, "infants and features now"),
-    Topic("tracking/composite", r.CompositeMeasurement, Qos.FLOW, 20, "path snippets with features"),
+    Topic(
+        "tracking/composite", r.CompositeMeasurement, Qos.FLOW, 20, "path snippets with features",
+        "the position on the map is not updated",
+    ),
     Topic("global/pose", r.PoseWithCovarianceStamped, Qos.FLOW, 20, "pose on the map, each update"),
     Topic("global/odometry", r.Odometry, Qos.FLOW, 300, "dead reckoning carried onto the map"),
     Topic("global/map", r.FeatureMap, Qos.LATCHED, 1, "prior and found features"),
