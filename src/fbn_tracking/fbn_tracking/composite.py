@@ -1,0 +1,204 @@
+"""A window's old part as one Gaussian: the composite measurement.
+
+The part is optimised once more by itself, linearised, reduced by QR to the variables that matter, and expressed in
+Cartesian coordinates relative to the base (IROS 2007, V).  The base is shared with the window before: what is
+known of it from there enters as a stated prior, to be divided out again by who holds that knowledge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from fbn_common.lie import quaternion_from_matrix, rpy_from_matrix, rpy_jacobian
+from fbn_common.records import CompositeFeature, CompositeMeasurement, Pose
+from fbn_common.types import Array, Vec2
+from fbn_tracking.factors import DRIFT, feature_key, pose_key
+from fbn_tracking.geometry import cartesian_jacobian, cross_matrix, finite_slope
+from fbn_tracking.infants import beam_weights
+from fbn_tracking.modes import Surroundings, find_modes, other_elevation
+from fbn_tracking.parameters import FeatureParameters
+from fbn_tracking.solver import Solution, solve, square_root_covariance
+from fbn_tracking.swept import swept_area
+from fbn_tracking.track import Look, Ping, Track, stack_poses
+from fbn_tracking.window import Window
+
+_FLIP_DAMPING = 0.05  # rad: a feature nearer to the other elevation than this is there
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """The old part of a window after its own optimisation; ``root @ root.T`` is the covariance of its outputs.
+
+    Outputs in order: base z, roll, pitch, yaw | P2 x, y, z, roll, pitch, yaw | features xyz | drift; x and y
+    relative to the base.
+    """
+
+    window: Window
+    pings: dict[int, Ping]
+    tracks: list[Track]  # with a detection in this part
+    poses: dict[int, gtsam.Pose3]
+    mean: Array
+    covariance: Array
+
+    @property
+    def base_xy(self) -> Vec2:
+        """Of the window's own world [m]."""
+        return np.asarray(self.poses[self.window.first].translation()[:2])
+
+
+def marginalise(window: Window, last: int, slack: Array, feature: FeatureParameters) -> Part:
+    """Optimise the part up to ping ``last`` by itself and reduce it to base, P2, features, drift.
+
+    Raises RuntimeError where the system is indeterminate.
+    """
+    pings = {index: ping for index, ping in window.pings.items() if index <= last}
+    tracks = [old_part(track, last) for track in window.features.values() if track.anchor <= last]
+    solution = _solve(window, last, tracks)
+    around = Surroundings({i: solution.values.atPose3(pose_key(i)) for i in pings}, pings, slack, feature)
+    modes = {track.key: find_modes(track, around) for track in tracks}
+    flipped = [t for t in tracks if flip(solution.values, t, modes[t.key][0].x[:3])]
+    if flipped:
+        solution = _solve(window, last, tracks, solution.values)
+    poses = {i: solution.values.atPose3(pose_key(i)) for i in pings}
+    mean, covariance = reduce(solution, window.first, last, tracks)
+    for number, track in enumerate(tracks):
+        here = slice(10 + 3 * number, 13 + 3 * number)
+        chance, step = other_elevation(modes[track.key])
+        mean[here] += chance * step
+        covariance[here, here] += chance * (1.0 - chance) * np.outer(step, step)
+    return Part(window, pings, tracks, poses, mean, covariance)
+
+
+def old_part(track: Track, last: int) -> Track:
+    """The track as the pings up to ``last`` know it."""
+    detections = [d for d in track.detections if d.index <= last]
+    misses = [look for look in track.misses if look.index <= last]
+    return Track(
+        track.key, detections[0].stamp_ns, detections[-1].stamp_ns, len(detections), track.score, detections, misses
+    )
+
+
+def _solve(window: Window, last: int, tracks: list[Track], start: gtsam.Values | None = None) -> Solution:
+    values, source = gtsam.Values(), start or window.values
+    for index in (i for i in window.pings if i <= last):
+        values.insert(pose_key(index), source.atPose3(pose_key(index)))
+    values.insert(DRIFT, source.atPoint3(DRIFT))
+    for track in tracks:
+        values.insert(feature_key(track.key), source.atPoint3(feature_key(track.key)))
+    return solve(window.graph(last), values, [feature_key(t.key) for t in tracks])
+
+
+def flip(values: gtsam.Values, track: Track, q: Array) -> bool:
+    """Move a feature whose smoothed elevation is on the unlikelier side to the likelier one; whether it was moved."""
+    key = feature_key(track.key)
+    now = values.atPoint3(key)
+    if now[2] * q[2] >= 0.0 or abs(now[2] - q[2]) < _FLIP_DAMPING:
+        return False
+    values.update(key, np.array([now[0], now[1], q[2]]))
+    return True
+
+
+def reduce(solution: Solution, first: int, last: int, tracks: list[Track]) -> tuple[Array, Array]:
+    """Mean and covariance of a part's outputs, by the square root of the joint of the variables behind them."""
+    values = solution.values
+    indices = list(dict.fromkeys([first, last, *(t.anchor for t in tracks)]))
+    keys = [*map(pose_key, indices), DRIFT, *(feature_key(t.key) for t in tracks)]
+    root = square_root_covariance(solution.linear, keys)
+    offset = {index: 6 * n for n, index in enumerate(indices)}
+    n_drift = 6 * len(indices)
+    poses = {index: values.atPose3(pose_key(index)).matrix() for index in indices}
+    mean, J = np.empty(13 + 3 * len(tracks)), np.zeros((13 + 3 * len(tracks), len(root)))
+    base, p2 = offset[first], offset[last]
+    mean[0], mean[1:4] = poses[first][2, 3], rpy_from_matrix(np.ascontiguousarray(poses[first][:3, :3]))
+    J[:4, base : base + 6] = pose_rows(poses[first])[2:]
+    mean[4:7], mean[7:10] = poses[last][:3, 3], rpy_from_matrix(np.ascontiguousarray(poses[last][:3, :3]))
+    J[4:10, p2 : p2 + 6] = pose_rows(poses[last])
+    for n, track in enumerate(tracks):
+        rows, at, f = slice(10 + 3 * n, 13 + 3 * n), offset[track.anchor], n_drift + 3 + 3 * n
+        q = values.atPoint3(feature_key(track.key))
+        mean[rows], J[rows, at : at + 6], by_q = cartesian_feature(poses[track.anchor], track, q)
+        by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt((root[f + 2] ** 2).sum())))
+        J[rows, f : f + 3] = by_q
+    mean[-3:], J[-3:, n_drift : n_drift + 3] = values.atPoint3(DRIFT), np.eye(3)
+    for row in [4, 5, *(10 + 3 * n + axis for n in range(len(tracks)) for axis in (0, 1))]:
+        axis = (row - 4) % 3 if row < 10 else (row - 10) % 3
+        mean[row] -= poses[first][axis, 3]
+        J[row, base + 3 : base + 6] -= poses[first][axis, :3]
+    S = J @ root
+    return mean, S @ S.T
+
+
+def pose_rows(T: Array) -> Array:
+    """Derivative (6, 6) of x, y, z, roll, pitch, yaw by gtsam's pose tangent."""
+    rows = np.zeros((6, 6))
+    rows[:3, 3:] = T[:3, :3]
+    rows[3:, :3] = rpy_jacobian(rpy_from_matrix(np.ascontiguousarray(T[:3, :3])))
+    return rows
+
+
+def cartesian_feature(T: Array, track: Track, q: Array) -> tuple[Array, Array, Array]:
+    """World point of an anchored feature, and its derivatives by the anchor pose (3, 6) and by q (3, 3)."""
+    mount = track.detections[0].look.mount
+    point, by_q = cartesian_jacobian(q)
+    R = np.ascontiguousarray(T[:3, :3])
+    y = mount[:3, 3] + mount[:3, :3] @ point
+    return T[:3, 3] + R @ y, np.hstack((-cross_matrix(y, R), R)), R @ mount[:3, :3] @ by_q
+
+
+def elevation_scale(track: Track, theta: float, sigma_theta: float) -> float:
+    """Finite over local slope of theta by u, over one standard deviation of u (IROS 2007, IV)."""
+    a, c = track.detections[0].z[4:]
+    sigma_u = (a + 3.0 * c * theta**2) * sigma_theta
+    return float(finite_slope(theta, sigma_u, a, c) * min(sigma_u, 1.0) / max(sigma_theta, 1e-9))
+
+
+def compose(part: Part, sequence: int, cell_size: float, frame_id: str) -> CompositeMeasurement:
+    """The composite measurement of a part."""
+    pings = list(part.pings.values())
+    first, last = pings[0], pings[-1]
+    base = part.window.base
+    looks = [look for ping in pings if ping is not first or base.fresh for look in ping.looks]
+    R, p = stack_poses(looks, part.poses)
+    limits = [look.limits for look in looks]
+    return CompositeMeasurement(
+        stamp_ns=last.stamp_ns,
+        frame_id=frame_id,
+        sequence=sequence,
+        start_ns=first.stamp_ns,
+        first=base.fresh,
+        pings=len(pings),
+        distance_travelled=travelled(part.poses),
+        drift_time_constant=last.motion.drift_time_constant,
+        features=tuple(_feature(track, part, looks, R, p) for track in part.tracks),
+        swept=swept_area(list(zip(R, p, limits, strict=True)), part.base_xy, cell_size),
+        mean=part.mean,
+        covariance=0.5 * (part.covariance + part.covariance.T),
+        prior_mean=base.mean,
+        prior_covariance=base.covariance,
+        base_odom=first.motion.pose,
+        p2_odom=last.motion.pose,
+    )
+
+
+def travelled(poses: Mapping[int, gtsam.Pose3]) -> float:
+    """Length of the path [m]."""
+    xyz = np.array([pose.translation() for pose in poses.values()])
+    return float(np.linalg.norm(np.diff(xyz, axis=0), axis=1).sum())
+
+
+def _feature(track: Track, part: Part, looks: list[Look], R: Array, p: Array) -> CompositeFeature:
+    number = part.tracks.index(track)
+    point = part.mean[10 + 3 * number : 13 + 3 * number] + np.array([*part.base_xy, 0.0])
+    expected = beam_weights(point, R, p, np.array([look.limits for look in looks])).sum() if looks else 0.0
+    return CompositeFeature(track.key, track.seen, float(expected), track.first_seen_ns, track.last_seen_ns)
+
+
+def as_pose(pose: gtsam.Pose3) -> Pose:
+    """The record of a gtsam pose."""
+    return Pose(
+        np.asarray(pose.translation()), quaternion_from_matrix(np.ascontiguousarray(pose.rotation().matrix()))
+    )

@@ -1,0 +1,124 @@
+"""The sonar's measurement model: range, bearing to the axis and angle around it, with derivatives.
+
+A detection of array ``s`` at pose ``j`` measures ``(r, phi)``; of ``theta`` it says only that the target was
+in the lobe: ``u(theta) ~ N(0, 1)`` with ``u = k (alpha theta + theta^3)``, ``u = 1`` at the lobe's edge (IROS
+2007, eq. 6).  ``theta`` is the state's coordinate and ``u`` the space of the noise: same likelihood, better
+convergence.  All functions are compiled; see docs/equations/tracking.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from fbn_common.types import Array, Mat3, Vec3
+
+_NEAR = 1e-9  # m: an echo from the array's own axis or origin has no direction
+
+
+@njit(cache=True)
+def elevation_shape(half_lobe: float, alpha: float, cubic: bool) -> tuple[float, float]:
+    """``(a, c)`` of ``u = a theta + c theta^3`` with u = 1 at the lobe's edge [1/rad, 1/rad^3]."""
+    if not cubic:
+        return 1.0 / half_lobe, 0.0
+    k = 1.0 / (alpha * half_lobe + half_lobe**3)
+    return k * alpha, k
+
+
+@njit(cache=True)
+def u_from_theta(theta: float, a: float, c: float) -> float:
+    """Noise coordinate of an angle around the axis."""
+    return a * theta + c * theta**3
+
+
+@njit(cache=True)
+def theta_from_u(u: float, a: float, c: float) -> float:
+    """Inverse of :func:`u_from_theta` (the real root of the depressed cubic, by hyperbolic sine) [rad]."""
+    if c == 0.0:
+        return u / a
+    b = np.sqrt(a / (3.0 * c))
+    return 2.0 * b * np.sinh(np.arcsinh(u / (2.0 * c * b**3)) / 3.0)
+
+
+@njit(cache=True)
+def finite_slope(theta: float, sigma_u: float, a: float, c: float) -> float:
+    """``d theta / d u`` [rad] over one standard deviation of u to either side (IROS 2007, IV)."""
+    u = u_from_theta(theta, a, c)
+    s = min(max(sigma_u, 1e-6), 1.0)
+    return (theta_from_u(u + s, a, c) - theta_from_u(u - s, a, c)) / (2.0 * s)
+
+
+@njit(cache=True)
+def cartesian_jacobian(q: Vec3) -> tuple[Vec3, Mat3]:
+    """Point in the array's frame at ``q = (r, phi, theta)`` and its derivative by q."""
+    sp, cp, st, ct = np.sin(q[1]), np.cos(q[1]), np.sin(q[2]), np.cos(q[2])
+    point, d = np.empty(3), np.empty((3, 3))
+    d[0, 0], d[1, 0], d[2, 0] = sp * ct, sp * st, cp
+    d[0, 1], d[1, 1], d[2, 1] = q[0] * cp * ct, q[0] * cp * st, -q[0] * sp
+    d[0, 2], d[1, 2], d[2, 2] = -q[0] * sp * st, q[0] * sp * ct, 0.0
+    for i in range(3):
+        point[i] = q[0] * d[i, 0]
+    return point, d
+
+
+@njit(cache=True)
+def polar_jacobian(s: Vec3) -> tuple[Vec3, Mat3]:
+    """``(r, phi, theta)`` of a point in the array's frame and its derivative by the point."""
+    rho = max(np.sqrt(s[0] ** 2 + s[1] ** 2), _NEAR)
+    r = max(np.sqrt(rho**2 + s[2] ** 2), _NEAR)
+    z, d = np.empty(3), np.empty((3, 3))
+    z[0], z[1], z[2] = r, np.arctan2(rho, s[2]), np.arctan2(s[1], s[0])
+    for i in range(3):
+        d[0, i] = s[i] / r
+        d[1, i] = s[2] * s[i] / (r * r * rho)
+    d[1, 2] -= 1.0 / rho
+    d[2, 0], d[2, 1], d[2, 2] = -s[1] / rho**2, s[0] / rho**2, 0.0
+    return z, d
+
+
+@njit(cache=True)
+def world_point(R_world_array: Mat3, p_world_array: Vec3, q: Vec3) -> tuple[Vec3, Mat3]:
+    """World point of ``q`` seen by an array at this pose, and its derivative by q."""
+    c, dc = cartesian_jacobian(q)
+    return p_world_array + R_world_array @ c, R_world_array @ dc
+
+
+@njit(cache=True)
+def observe(R_world_array: Mat3, p_world_array: Vec3, point: Vec3) -> tuple[Vec3, Mat3]:
+    """``(r, phi, theta)`` of a world point as an array at this pose sees it, and its derivative by the point."""
+    z, d = polar_jacobian(R_world_array.T @ (point - p_world_array))
+    return z, d @ R_world_array.T
+
+
+@njit(cache=True)
+def cross_matrix(v: Vec3, m: Mat3) -> Mat3:
+    """``m [v]x`` without forming the skew matrix."""
+    out = np.empty((m.shape[0], 3))
+    for i in range(m.shape[0]):
+        out[i, 0] = m[i, 1] * v[2] - m[i, 2] * v[1]
+        out[i, 1] = m[i, 2] * v[0] - m[i, 0] * v[2]
+        out[i, 2] = m[i, 0] * v[1] - m[i, 1] * v[0]
+    return out
+
+
+@njit(cache=True)
+def anchored_observation(
+    T_anchor: Array, T_pose: Array, mount_anchor: Array, mount: Array, q: Vec3
+) -> tuple[Vec3, Array, Array, Mat3]:
+    """``(r, phi, theta)`` of an anchored feature from another pose, and derivatives by anchor, pose and q.
+
+    Poses and mounts are 4 x 4 (base in world, array in base).  Pose derivatives (3, 6) are by gtsam's tangent:
+    rotation then translation, both in the body frame, perturbing on the right.
+    """
+    R_a, R_j = T_anchor[:3, :3].copy(), T_pose[:3, :3].copy()
+    M_a, M_j = mount_anchor[:3, :3].copy(), mount[:3, :3].copy()
+    c, dc = cartesian_jacobian(q)
+    y_a = mount_anchor[:3, 3] + M_a @ c
+    y_j = R_j.T @ (T_anchor[:3, 3] + R_a @ y_a - T_pose[:3, 3])
+    z, d_s = polar_jacobian(M_j.T @ (y_j - mount[:3, 3]))
+    d_y = d_s @ M_j.T
+    d_a = d_y @ (R_j.T @ R_a)
+    by_anchor, by_pose = np.empty((3, 6)), np.empty((3, 6))
+    by_anchor[:, :3], by_anchor[:, 3:] = -cross_matrix(y_a, d_a), d_a
+    by_pose[:, :3], by_pose[:, 3:] = cross_matrix(y_j, d_y), -d_y
+    return z, by_anchor, by_pose, d_a @ (M_a @ dc)

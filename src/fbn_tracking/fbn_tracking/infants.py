@@ -1,0 +1,211 @@
+"""Where an infant most likely is while the poses stay as they are, and what each echo would cost it.
+
+An infant's unknowns are ``(r, phi, theta)`` in the frame of the array that saw it first, and two numbers of slack:
+how far the window's drift (world x, y [m/s]) may still be wrong.  The slack carries the prior that the smoother has
+of its drift, so that a pose error common to all pings is not taken for the target's motion; the poses themselves
+are never moved.  Levenberg-Marquardt, all by hand: five unknowns, microseconds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from fbn_common.types import Array, Mat2, Mat3, Vec2, Vec3
+from fbn_tracking.geometry import finite_slope, observe, u_from_theta, world_point
+
+_ITERATIONS = 20
+_CONVERGED = 1e-5  # of the energy
+
+
+@njit(cache=True)
+def cholesky_solve(H: Array, g: Array) -> Array:
+    """``H^-1 g`` for a small positive definite H (n, n); NaN where it is not."""
+    n = g.shape[0]
+    L, x = np.zeros((n, n)), g.copy()
+    for i in range(n):
+        for j in range(i + 1):
+            s = H[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            L[i, j] = (np.sqrt(s) if s > 0.0 else np.nan) if i == j else s / L[j, j]
+    for i in range(n):
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+    return x
+
+
+@njit(cache=True)
+def symmetric_inverse(H: Array) -> Array:
+    """Inverse of a small positive definite matrix (n, n), column by column."""
+    n = H.shape[0]
+    out = np.empty((n, n))
+    for i in range(n):
+        unit = np.zeros(n)
+        unit[i] = 1.0
+        out[:, i] = cholesky_solve(H, unit)
+    return 0.5 * (out + out.T)
+
+
+@njit(cache=True)
+def normal_equations(
+    x: Array, R: Array, p: Array, t: Array, z: Array, drift_information: Mat2, memory: Vec3, memory_information: Mat3
+) -> tuple[Array, Array, float, float]:
+    """Information (5, 5), gradient (5), energy, and the part of the energy that speaks of a static target.
+
+    ``x`` is r, phi, theta, slack x, y.  ``R`` (n, 3, 3), ``p`` (n, 3): the arrays in the world; ``t`` (n) [s] since
+    the first; ``z`` (n, 6): r, phi, their sigmas, elevation shape a, c.  ``memory``: a world point known from before.
+    """
+    H, g, energy, static = np.zeros((5, 5)), np.zeros(5), 0.0, 0.0
+    point, d_q = world_point(R[0], p[0], x[:3].copy())
+    J, e = np.empty(5), 0.0
+    for i in range(t.shape[0]):
+        slack = np.array([x[3] * t[i], x[4] * t[i], 0.0])
+        s, d = observe(R[i], p[i] + slack, point)
+        by_q = d @ d_q
+        for row in range(3):
+            if row < 2:
+                scale, e = 1.0 / z[i, 2 + row], (s[row] - z[i, row]) / z[i, 2 + row]
+                static += e * e
+            else:
+                scale, e = z[i, 4] + 3.0 * z[i, 5] * s[2] ** 2, u_from_theta(s[2], z[i, 4], z[i, 5])
+            for k in range(3):
+                J[k] = scale * by_q[row, k]
+            J[3], J[4] = -scale * d[row, 0] * t[i], -scale * d[row, 1] * t[i]
+            energy += e * e
+            for k in range(5):
+                g[k] -= J[k] * e
+                for m in range(5):
+                    H[k, m] += J[k] * J[m]
+    v, w = x[3:].copy(), drift_information @ x[3:].copy()
+    H[3:, 3:] += drift_information
+    g[3:] -= w
+    energy, static = energy + v @ w, static + v @ w
+    gap = point - memory
+    pull = memory_information @ gap
+    H[:3, :3] += d_q.T @ (memory_information @ d_q)
+    g[:3] -= d_q.T @ pull
+    return H, g, energy + gap @ pull, static
+
+
+@njit(cache=True)
+def fit(
+    q0: Vec3,
+    R: Array,
+    p: Array,
+    t: Array,
+    z: Array,
+    drift_information: Mat2,
+    memory: Vec3,
+    memory_information: Mat3,
+) -> tuple[Array, Array, float, float]:
+    """Most likely unknowns (5) near the start ``q0``, their information (5, 5), energy and static-world energy."""
+    x = np.zeros(5)
+    x[:3] = q0
+    H, g, energy, static = normal_equations(x, R, p, t, z, drift_information, memory, memory_information)
+    damping = 1e-2
+    for _ in range(_ITERATIONS):
+        damped = H.copy()
+        for i in range(5):
+            damped[i, i] += damping * H[i, i] + 1e-12
+        step = cholesky_solve(damped, g)
+        y = x + step
+        y[0], y[2] = max(y[0], 0.1), min(max(y[2], -1.2), 1.2)
+        y[1] = min(max(y[1], 0.02), np.pi - 0.02)
+        H2, g2, energy2, static2 = normal_equations(y, R, p, t, z, drift_information, memory, memory_information)
+        if energy2 <= energy:  # false for NaN too
+            done = energy - energy2 < _CONVERGED * (1.0 + energy)
+            x, H, g, energy, static, damping = y, H2, g2, energy2, static2, damping * 0.2
+            if done:
+                break
+        else:
+            damping *= 8.0
+            if damping > 1e8:
+                break
+    return x, H, energy, static
+
+
+@njit(cache=True)
+def spread(x: Array, H: Array, R: Mat3, p: Vec3, a: float, c: float) -> tuple[Vec3, Array]:
+    """World point and covariance (5, 5) of (point, slack), the elevation's slope taken over one sigma of u."""
+    point, d_q = world_point(R, p, x[:3].copy())
+    bounded = H.copy()
+    bounded[2, 2] += 1e-6
+    P = symmetric_inverse(bounded)
+    local = a + 3.0 * c * x[2] ** 2
+    sigma_u = local * np.sqrt(max(P[2, 2], 0.0))
+    scale = finite_slope(x[2], sigma_u, a, c) * min(sigma_u, 1.0) / max(np.sqrt(max(P[2, 2], 0.0)), 1e-9)
+    J = np.zeros((5, 5))
+    J[:3, :3], J[3, 3], J[4, 4] = d_q, 1.0, 1.0
+    J[:3, 2] *= scale
+    return point, J @ P @ J.T
+
+
+@njit(cache=True)
+def predict_points(
+    points: Array, covariance: Array, t: Array, extra: Array, R: Mat3, p: Vec3, a: float, c: float
+) -> tuple[Array, Array]:
+    """What an array at this pose should measure of static points: (m, 3) of r, phi, u, and covariance (m, 3, 3).
+
+    ``covariance`` (m, 5, 5) of point and drift slack, ``t`` (m) [s] the time over which slack acts, ``extra`` (m, 2)
+    the variances of position [m^2] and heading [rad^2] that the poses gathered since.
+    """
+    m = points.shape[0]
+    z, S = np.empty((m, 3)), np.empty((m, 3, 3))
+    for i in range(m):
+        s, d = observe(R, p, points[i])
+        H = np.zeros((3, 5))
+        H[:, :3] = d
+        H[:, 3], H[:, 4] = -t[i] * d[:, 0], -t[i] * d[:, 1]
+        H[2] *= a + 3.0 * c * s[2] ** 2
+        z[i, 0], z[i, 1], z[i, 2] = s[0], s[1], u_from_theta(s[2], a, c)
+        S[i] = H @ covariance[i] @ H.T
+        S[i, 0, 0] += extra[i, 0]
+        S[i, 1, 1] += extra[i, 1] + extra[i, 0] / s[0] ** 2
+    return z, S
+
+
+@njit(cache=True)
+def pair_costs(z: Array, S: Array, echoes: Array) -> tuple[Array, Array, Array]:
+    """For every candidate (m) and echo (d): energy increase (3 dof), NIS of r and phi, ln of |S| over |R|.
+
+    ``z`` (m, 3) and ``S`` (m, 3, 3) are predictions of r, phi, u without the echo's own noise; ``echoes`` (d, 6).
+    """
+    m, n = z.shape[0], echoes.shape[0]
+    energy, nis, volume = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
+    for i in range(m):
+        for j in range(n):
+            C = S[i].copy()
+            R0, R1 = echoes[j, 2] ** 2, echoes[j, 3] ** 2
+            C[0, 0], C[1, 1], C[2, 2] = C[0, 0] + R0, C[1, 1] + R1, C[2, 2] + 1.0
+            e = np.array([echoes[j, 0] - z[i, 0], echoes[j, 1] - z[i, 1], -z[i, 2]])
+            det = C[0, 0] * C[1, 1] - C[0, 1] ** 2
+            nis[i, j] = (C[1, 1] * e[0] ** 2 - 2.0 * C[0, 1] * e[0] * e[1] + C[0, 0] * e[1] ** 2) / det
+            volume[i, j] = np.log(det / (R0 * R1))
+            energy[i, j] = e @ cholesky_solve(C, e)
+    return energy, nis, volume
+
+
+@njit(cache=True)
+def beam_weights(point: Vec3, R: Array, p: Array, limits: Array) -> Array:
+    """How well each look (n) should see a world point: ``exp(-u^2 / 2)`` inside the field of view, else 0.
+
+    ``R`` (n, 3, 3), ``p`` (n, 3) arrays in the world; ``limits`` (n, 6): range min, max, bearing min, max, a, c.
+    """
+    w = np.zeros(p.shape[0])
+    for i in range(p.shape[0]):
+        s, _ = observe(R[i], p[i], point)
+        if limits[i, 0] <= s[0] <= limits[i, 1] and limits[i, 2] <= s[1] <= limits[i, 3]:
+            w[i] = np.exp(-0.5 * u_from_theta(s[2], limits[i, 4], limits[i, 5]) ** 2)
+    return w
+
+
+def slack_covariance(drift_covariance: Mat3, heading: Vec2) -> Mat2:
+    """World xy covariance [m^2/s^2] of the drift (world x, y, body forward) for a vehicle pointing along ``heading``."""
+    G = np.array([[1.0, 0.0, heading[0]], [0.0, 1.0, heading[1]]])
+    return np.asarray(G @ drift_covariance @ G.T + 1e-8 * np.eye(2))

@@ -1,0 +1,134 @@
+"""Which echo belongs to whom: predictions of features and infants, energy gates, one joint assignment per scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log, pi
+
+import numpy as np
+
+from fbn_common.types import NS, Array
+from fbn_tracking.assignment import assign
+from fbn_tracking.factors import DRIFT, feature_key, pose_key
+from fbn_tracking.geometry import anchored_observation, u_from_theta
+from fbn_tracking.infants import pair_costs, predict_points
+from fbn_tracking.modes import heading_bound
+from fbn_tracking.track import Detection, Look, Track, array_pose
+from fbn_tracking.window import Window
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """What a look should measure of one track (at one of its elevations): r, phi, u and their covariance."""
+
+    track: Track
+    z: Array  # (3,)
+    S: Array  # (3, 3), without the echo's own noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """An echo given to a track, with its innovation in r and phi; ``evidence``: log likelihood ratio to clutter."""
+
+    prediction: Prediction
+    echo: int
+    innovation: Array  # (2,)
+    sigma: Array  # (2,)
+    nis: float
+    evidence: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """Joint covariance of a pose, its features and their anchors; offsets by key."""
+
+    covariance: Array
+    offset: dict[int, int]
+
+    @classmethod
+    def of(cls, window: Window, index: int, tracks: list[Track]) -> Joint:
+        """From the window's smoother, for ping ``index``; the drift comes along."""
+        anchors = dict.fromkeys([index, *(t.anchor for t in tracks)])
+        keys = [*map(pose_key, anchors), DRIFT, *(feature_key(t.key) for t in tracks)]
+        sizes = [6] * len(anchors) + [3] * (1 + len(tracks))
+        starts = np.concatenate(([0], np.cumsum(sizes)[:-1]))
+        return cls(window.joint(keys), {k: int(s) for k, s in zip(keys, starts, strict=True)})
+
+    def block(self, keys: list[int], sizes: list[int]) -> Array:
+        """Covariance of some of the variables, in this order."""
+        at = np.concatenate([np.arange(self.offset[k], self.offset[k] + n) for k, n in zip(keys, sizes, strict=True)])
+        return np.asarray(self.covariance[np.ix_(at, at)])
+
+
+def predict_feature(window: Window, track: Track, look: Look, joint: Joint) -> Prediction:
+    """A feature of the graph as a look should see it, with the full joint uncertainty."""
+    first, kx, ka, kf = track.detections[0], pose_key(look.index), pose_key(track.anchor), feature_key(track.key)
+    T_a, T_j = window.values.atPose3(ka).matrix(), window.values.atPose3(kx).matrix()
+    s, H_a, H_j, H_f = anchored_observation(T_a, T_j, first.look.mount, look.mount, window.values.atPoint3(kf))
+    if ka == kx:
+        H, P = np.hstack((H_a + H_j, H_f)), joint.block([ka, kf], [6, 3])
+    else:
+        H, P = np.hstack((H_a, H_j, H_f)), joint.block([ka, kx, kf], [6, 6, 3])
+    a, c = look.limits[4:]
+    H[2] *= a + 3.0 * c * s[2] ** 2
+    return Prediction(track, np.array([s[0], s[1], u_from_theta(s[2], a, c)]), H @ P @ H.T)
+
+
+def predict_infants(window: Window, tracks: list[Track], look: Look) -> list[Prediction]:
+    """Infants as a look should see them: one prediction per elevation still possible."""
+    pairs = [(track, mode) for track in tracks for mode in track.modes]
+    if not pairs:
+        return []
+    ping = window.pings[look.index]
+    since = [reference(window, track) for track, _ in pairs]
+    t = np.array([(ping.stamp_ns - window.pings[i].stamp_ns) / NS for i in since])
+    extra = np.abs(np.array([ping.travelled - window.pings[i].travelled for i in since]))
+    extra[:, 1] = np.minimum(extra[:, 1], heading_bound(ping))
+    R, p = array_pose(window.pose(look.index), look.mount)
+    points, covariance = np.array([m.point for _, m in pairs]), np.array([m.covariance for _, m in pairs])
+    z, S = predict_points(points, covariance, t, extra, R, p, look.limits[4], look.limits[5])
+    return [Prediction(track, z[i], S[i]) for i, (track, _) in enumerate(pairs)]
+
+
+def reference(window: Window, track: Track) -> int:
+    """Index of the ping to which an infant's place refers."""
+    return track.anchor if track.detections else window.first
+
+
+def clutter_cost(look: Look, echo: Detection, clutter: float) -> float:
+    """Twice the minus log density, in units of the echo's own noise, of ``clutter`` false echoes in the whole view."""
+    low, high, left, right = look.limits[:4]
+    density = clutter / ((high - low) * (right - left)) * echo.z[2] * echo.z[3]
+    return -2.0 * log(2.0 * pi * max(density, 1e-12))
+
+
+def match(
+    predictions: list[Prediction], echoes: list[Detection], look: Look, gate: float, clutter: float
+) -> list[Match]:
+    """The best joint one-to-one assignment of a scan's echoes; ``gate`` on the energy increase."""
+    if not predictions or not echoes:
+        return []
+    z, S = np.array([p.z for p in predictions]), np.array([p.S for p in predictions])
+    energy, nis, volume = pair_costs(z, S, np.array([e.z for e in echoes]))
+    existence = np.array([1.0 if p.track.graduated else p.track.existence for p in predictions])
+    known = look.detection_probability * np.maximum(existence, 1e-3)
+    costs = energy + volume - 2.0 * np.log(known)[:, None]
+    costs[~(energy <= gate)] = np.inf
+    rows, best = one_row_per_track(predictions, costs)
+    new = clutter_cost(look, echoes[0], clutter)
+    matches = []
+    for j, i in assign(best, new).items():
+        row = rows[i][int(np.argmin(costs[rows[i], j]))]
+        e, R = echoes[j].z[:2] - z[row, :2], echoes[j].z[2:4] ** 2
+        sigma = np.sqrt(np.diag(S[row])[:2] + R)
+        evidence = 0.5 * (new - nis[row, j] - volume[row, j]) + log(look.detection_probability)
+        matches.append(Match(predictions[row], j, e, sigma, float(nis[row, j]), float(evidence)))
+    return sorted(matches, key=lambda m: m.echo)
+
+
+def one_row_per_track(predictions: list[Prediction], costs: Array) -> tuple[list[list[int]], Array]:
+    """Rows of each track (one per elevation), and the cheapest cost of each track for each echo."""
+    rows: dict[int, list[int]] = {}
+    for i, prediction in enumerate(predictions):
+        rows.setdefault(prediction.track.key, []).append(i)
+    return list(rows.values()), np.array([costs[r].min(axis=0) for r in rows.values()])

@@ -1,0 +1,133 @@
+"""The two elevations at which a track may lie, and which of them is believed.
+
+From level flight a target above the lobe's middle looks like one below.  Both are carried until the energy, the
+sea floor and the surface, or the looks that should have seen it decide (JOE 2013, IV-B and Fig. 9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from fbn_common.types import NS, Array, Mat2, Vec3
+from fbn_tracking.geometry import observe
+from fbn_tracking.infants import beam_weights, fit, spread, symmetric_inverse
+from fbn_tracking.parameters import FeatureParameters
+from fbn_tracking.track import Detection, Look, Mode, Ping, Track, array_pose, stack_poses
+
+_START = 0.6  # of the half lobe: where the search for either elevation begins
+_SAME = 0.02  # rad: closer optima are one
+_MEMORY_SLACK = 0.05**2 * np.eye(3)  # m^2: a target's own size
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What the poses say while a track is examined; poses by ping index, slack covariance of the drift."""
+
+    poses: Mapping[int, gtsam.Pose3]
+    pings: Mapping[int, Ping]
+    slack: Mat2
+    feature: FeatureParameters
+
+
+def find_modes(track: Track, around: Surroundings) -> list[Mode]:
+    """The elevations still possible, likeliest first; never empty for a track with a detection or a memory."""
+    if not track.detections:
+        return [remembered(track, around)]
+    start = starting_points(track, around)
+    modes = sorted((evaluate(track, q, around) for q in start), key=lambda mode: mode.cost)
+    best, rest = modes[0], modes[1:]
+    return [best] + [m for m in rest if abs(m.x[2] - best.x[2]) > _SAME and m.cost - best.cost < around.feature.mode_gap]
+
+
+def starting_points(track: Track, around: Surroundings) -> list[Vec3]:
+    """Where to start the search: the memory's place, the middle for one detection, else above and below."""
+    first = track.detections[0]
+    if track.memory is not None:
+        R, p = array_pose(around.poses[first.index], first.look.mount)
+        return [observe(R, p, track.memory.point)[0]]
+    if len(track.detections) == 1:
+        return [np.array([first.z[0], first.z[1], 0.0])]
+    half = _START * half_lobe(first)
+    return [np.array([first.z[0], first.z[1], theta]) for theta in (half, -half)]
+
+
+def half_lobe(detection: Detection) -> float:
+    """Half the lobe's width [rad], from the elevation's shape: u = 1 at its edge."""
+    a, c = detection.z[4:]
+    return float(1.0 / a if c == 0.0 else max(np.roots([c, 0.0, a, -1.0]).real))
+
+
+def evaluate(track: Track, q: Vec3, around: Surroundings) -> Mode:
+    """The optimum near ``q`` with its covariance and cost."""
+    detections = track.detections
+    R, p = stack_poses((d.look for d in detections), around.poses)
+    t = np.array([(d.stamp_ns - detections[0].stamp_ns) / NS for d in detections])
+    z = widened(detections, around)
+    memory, information = np.zeros(3), np.zeros((3, 3))
+    if track.memory is not None:
+        memory, information = track.memory.point, symmetric_inverse(track.memory.covariance + _MEMORY_SLACK)
+    x, H, energy, static = fit(q, R, p, t, z, symmetric_inverse(around.slack), memory, information)
+    point, covariance = spread(x, H, R[0], p[0], z[0, 4], z[0, 5])
+    cost = 0.5 * energy + misses_cost(track.misses, point, around) + place_cost(point, covariance[2, 2], track, around)
+    return Mode(x, point, covariance, energy, static, cost)
+
+
+def widened(detections: list[Detection], around: Surroundings) -> Array:
+    """The detections (n, 6) with sigmas widened by what the poses may have wandered since the first."""
+    z = np.array([d.z for d in detections])
+    start = around.pings[detections[0].index].travelled
+    grown = np.abs(np.array([around.pings[d.index].travelled - start for d in detections]))
+    heading = np.minimum(grown[:, 1], heading_bound(around.pings[detections[-1].index]))
+    z[:, 2] = np.sqrt(z[:, 2] ** 2 + grown[:, 0])
+    z[:, 3] = np.sqrt(z[:, 3] ** 2 + heading + grown[:, 0] / z[:, 0] ** 2)
+    return z
+
+
+def heading_bound(ping: Ping) -> float:
+    """The most that two headings [rad^2] differ in error: twice the filter's own yaw variance."""
+    return 2.0 * float(ping.motion.earth_covariance[3, 3])
+
+
+def misses_cost(misses: list[Look], point: Vec3, around: Surroundings) -> float:
+    """Minus log probability that these looks did not see a target at ``point``."""
+    looks = [look for look in misses if look.index in around.poses]
+    if not looks:
+        return 0.0
+    R, p = stack_poses(looks, around.poses)
+    weights = beam_weights(point, R, p, np.array([look.limits for look in looks]))
+    chance = np.array([look.detection_probability for look in looks])
+    return -float(np.log1p(-chance * weights).sum())
+
+
+def place_cost(point: Vec3, variance: float, track: Track, around: Surroundings) -> float:
+    """Minus log prior of the height: nothing lies under the floor or over the surface; most lies below the array."""
+    index, par = track.detections[0].index, around.feature
+    pose, ping = around.poses[index], around.pings[index]
+    _, at = array_pose(pose, track.detections[0].look.mount)
+    cost = np.log(par.below_odds) if point[2] > at[2] else 0.0
+    over = max(0.0, point[2])
+    cost += 0.5 * over**2 / (par.surface_margin**2 + variance)
+    if ping.sees_floor:
+        under = max(0.0, pose.z() - ping.motion.altitude - point[2])
+        cost += 0.5 * under**2 / (par.floor_margin**2 + ping.motion.altitude_variance + variance)
+    return float(cost)
+
+
+def remembered(track: Track, around: Surroundings) -> Mode:
+    """The place a feature is remembered at, before this window has seen it."""
+    assert track.memory is not None
+    covariance = np.zeros((5, 5))
+    covariance[:3, :3], covariance[3:, 3:] = track.memory.covariance + _MEMORY_SLACK, around.slack
+    return Mode(np.zeros(5), track.memory.point, covariance, 0.0, 0.0, 0.0)
+
+
+def other_elevation(modes: list[Mode]) -> tuple[float, Vec3]:
+    """Probability of the second elevation, and the step to it [m]; none is (0, zeros)."""
+    if len(modes) < 2:
+        return 0.0, np.zeros(3)
+    probability = 1.0 / (1.0 + np.exp(modes[1].cost - modes[0].cost))
+    return float(probability), modes[1].point - modes[0].point

@@ -1,0 +1,120 @@
+"""Infants: born of unmatched echoes, kept at their likeliest place, graduated on information, or dead after a while."""
+
+from __future__ import annotations
+
+from collections import Counter
+from math import log
+
+import numpy as np
+from scipy.stats import chi2
+
+from fbn_common.types import NS, Mat2, Mat3
+from fbn_tracking.infants import slack_covariance
+from fbn_tracking.modes import Surroundings, find_modes
+from fbn_tracking.parameters import TrackingParameters
+from fbn_tracking.track import Detection, Look, Track
+from fbn_tracking.window import Window
+
+_CERTAIN = 50.0  # score of what has graduated once
+_AGAIN = 4  # detections in a new window after which a known feature is in the graph again
+
+
+class Nursery:
+    """All tracks that are not in the graph."""
+
+    def __init__(self, parameters: TrackingParameters) -> None:
+        self.parameters = parameters
+        self.infants: dict[int, Track] = {}
+        self.counts: Counter[str] = Counter()
+        self._next_key = 1
+
+    def born(self, detection: Detection) -> None:
+        """A new infant from one echo; beyond the limit the least likely infant makes room."""
+        array = self.parameters.arrays[detection.look.array]
+        score = log(array.detection_probability / (array.detection_probability + self.parameters.infant.clutter))
+        key, stamp = self._next_key, detection.stamp_ns
+        self._next_key += 1
+        self.infants[key] = Track(key, stamp, stamp, 1, score, [detection])
+        self.counts["infants_born"] += 1
+        if len(self.infants) > self.parameters.infant.limit:
+            worst = min(self.infants.values(), key=lambda t: (t.score, t.last_seen_ns, t.key))
+            del self.infants[worst.key]
+            self.counts["infants_over_limit"] += 1
+
+    def take_back(self, track: Track) -> None:
+        """A feature seen on both sides of a cut: found again by its memory, under its own key."""
+        track.graduated, track.score = False, _CERTAIN
+        self.infants[track.key] = track
+
+    def clear(self) -> None:
+        """Forget all infants: a new chain has nothing to do with them."""
+        self.counts["infants_dropped"] += len(self.infants)
+        self.infants.clear()
+
+    def refresh(self, tracks: list[Track], around: Surroundings) -> None:
+        """Move tracks to their likeliest places, given the poses."""
+        for track in tracks:
+            track.modes = find_modes(track, around)
+
+    def around(self, window: Window, drift_covariance: Mat3) -> Surroundings:
+        """The poses as they now are."""
+        return Surroundings(window.poses(), window.pings, slack(window, drift_covariance), self.parameters.feature)
+
+    def tend(self, window: Window, now_ns: int) -> None:
+        """Graduate who is ready, delete who was not seen for long, retire features out of view."""
+        for track in list(self.infants.values()):
+            expired = (now_ns - track.last_seen_ns) / NS > self.parameters.infant.lifetime
+            if self.ready(track, expired):
+                self._graduate(window, track)
+            elif expired:
+                del self.infants[track.key]
+                self.counts["infants_died"] += 1
+        for track in window.features.values():
+            track.retired |= (now_ns - track.last_seen_ns) / NS > self.parameters.retire
+
+    def graduate_remaining(self, window: Window) -> None:
+        """At the end of a chain: whoever could graduate does."""
+        for track in list(self.infants.values()):
+            if self.ready(track, True):
+                self._graduate(window, track)
+
+    def ready(self, track: Track, expired: bool) -> bool:
+        """Whether a track has the information, the evidence and the steadiness of a feature."""
+        par, n = self.parameters.infant, len(track.detections)
+        if track.memory is not None:
+            return n >= (1 if expired else _AGAIN)
+        if n < par.detections or not track.modes or track.score < par.score:
+            return False
+        mode = track.modes[0]
+        undecided = len(track.modes) > 1 and n < par.detections + par.patience and not expired
+        return not undecided and self.informed(mode.covariance[:3, :3]) and self.static(mode.static, n)
+
+    def informed(self, covariance: Mat3) -> bool:
+        """Whether the information in the three Cartesian directions suffices (IROS 2007, III)."""
+        par = self.parameters.infant
+        horizontal = float(np.linalg.eigvalsh(covariance[:2, :2])[1])
+        return horizontal <= par.sigma_horizontal**2 and float(covariance[2, 2]) <= par.sigma_vertical**2
+
+    def static(self, energy: float, n: int) -> bool:
+        """Whether ``n`` detections of one static target may have this energy: chi-square with 2 n - 3 dof."""
+        passed = energy <= float(chi2.ppf(self.parameters.infant.static_probability, 2 * n - 3))
+        if not passed:
+            self.counts["static_world_refusals"] += 1
+        return passed
+
+    def _graduate(self, window: Window, track: Track) -> None:
+        del self.infants[track.key]
+        track.score = _CERTAIN
+        window.add_feature(track, track.modes[0].x[:3].copy())
+        self.counts["graduated_again" if track.memory is not None else "graduated"] += 1
+
+
+def slack(window: Window, drift_covariance: Mat3) -> Mat2:
+    """How far the drift may still be wrong, in the world's x and y [m^2/s^2]."""
+    return slack_covariance(drift_covariance, window.pose(window.last).matrix()[:2, 0])
+
+
+def view_weight(z: np.ndarray, look: Look) -> float:  # type: ignore[type-arg]
+    """How well a look should see what it predicts at r, phi, u: ``exp(-u^2 / 2)`` in its field of view, else 0."""
+    low, high, left, right = look.limits[:4]
+    return float(np.exp(-0.5 * z[2] ** 2)) if low <= z[0] <= high and left <= z[1] <= right else 0.0

@@ -1,0 +1,34 @@
+"""Compile (or load from the cache) every kernel with the layouts it is called with, so that no first ping is late."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import gtsam
+import numpy as np
+
+from fbn_tracking import factors, geometry, infants, swept
+
+
+@cache
+def warm_up() -> None:
+    """Call each kernel once; the second call does nothing."""
+    pose, eye3, mount = gtsam.Pose3().matrix(), np.eye(3), np.eye(4)
+    q, z, zero3 = np.array([10.0, 1.5, 0.1]), np.array([10.0, 1.5, 0.05, 0.02, 0.3, 150.0]), np.zeros(3)
+    factors.link_kernel(pose, pose, zero3, zero3, eye3, 1.0, np.eye(6))
+    factors.earth_kernel(pose, np.zeros(4), np.eye(4))
+    factors.detection_kernel(pose, pose, mount, mount, q, z)
+    geometry.anchored_observation(pose, pose, mount, mount, q)
+    geometry.elevation_shape(0.17, 2e-3, True)
+    geometry.u_from_theta(0.1, 0.3, 150.0)
+    geometry.finite_slope(0.1, 0.5, 0.3, 150.0)
+    geometry.cartesian_jacobian(q)
+    geometry.observe(eye3, zero3, np.array([1.0, 2.0, 3.0]))
+    R, p, t = np.stack((eye3, eye3)), np.zeros((2, 3)), np.zeros(2)
+    x, H, *_ = infants.fit(q, R, p, t, np.stack((z, z)), np.eye(2), zero3, np.eye(3))
+    point, covariance = infants.spread(x, H, R[0], p[0], 0.3, 150.0)
+    zs, S = infants.predict_points(point[None], covariance[None], np.zeros(1), np.zeros((1, 2)), eye3, zero3, 0.3, 150.0)
+    infants.pair_costs(zs, S, z[None])
+    infants.beam_weights(point, R, p, np.stack((z, z)))
+    infants.symmetric_inverse(np.eye(3))
+    swept.swept_area([(eye3, zero3, np.array([1.0, 2.0, 1.0, 2.0]))], np.zeros(2), 1.0)
