@@ -13,34 +13,37 @@ HELP = """Feature-based navigation for small AUVs: from sonar detections to "her
 
 A first tour:
 
-  fbn demo                                    replay the sample log, evaluate it, write the report
-
-  fbn check my_bag                            is this log good enough to navigate by?
-
+  fbn demo  # replay the sample log, evaluate it, write the report
+  fbn check my_bag  # is this log good enough to navigate by?
   fbn replay my_bag -o my_run --map map.geojson
-
-  fbn evaluate my_run                         errors, consistency, matches
-
-  fbn report my_run                           one HTML file with all pictures
+  fbn evaluate my_run  # errors, consistency, matches
+  fbn report my_run  # one HTML file with all pictures
 
 Every command explains itself with examples: fbn replay --help. Completion for your shell: fbn --install-completion.
 """
 
+
+def reflowed(text: str) -> str:
+    """Help as the terminal shall wrap it: each paragraph a line, each indented example a line of its own."""
+    paragraphs = text.strip().split("\n\n")
+    return "\n\n".join(p.replace("\n", "\n\n") if p.startswith("  ") else p.replace("\n", " ") for p in paragraphs)
+
+
 app = typer.Typer(
-    help=HELP, no_args_is_help=True, rich_markup_mode="rich", pretty_exceptions_enable=False,
+    help=reflowed(HELP), no_args_is_help=True, rich_markup_mode="rich", pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )  # fmt: skip
 
-app.command("demo", rich_help_panel="Start here", help=demo.HELP)(demo.demo)
-app.command("check", rich_help_panel="Start here", help=check.HELP)(check.check)
-app.command("replay", rich_help_panel="Navigate", help=replay.HELP)(replay.replay)
-app.command("run", rich_help_panel="Navigate", help=run.HELP)(run.run)
-app.command("evaluate", rich_help_panel="Examine", help=evaluate.HELP)(evaluate.evaluate)
-app.command("report", rich_help_panel="Examine", help=report.HELP)(report.report)
-app.command("params", rich_help_panel="Examine", help=params.HELP)(params.params)
-app.command("sim", rich_help_panel="Simulate", help=sim.HELP)(sim.sim)
-app.command("campaign", rich_help_panel="Simulate", help=campaign.HELP)(campaign.campaign)
-app.command("docs", rich_help_panel="For developers", help=docs.HELP)(docs.docs)
+app.command("demo", rich_help_panel="Start here", help=reflowed(demo.HELP))(demo.demo)
+app.command("check", rich_help_panel="Start here", help=reflowed(check.HELP))(check.check)
+app.command("replay", rich_help_panel="Navigate", help=reflowed(replay.HELP))(replay.replay)
+app.command("run", rich_help_panel="Navigate", help=reflowed(run.HELP))(run.run)
+app.command("evaluate", rich_help_panel="Examine", help=reflowed(evaluate.HELP))(evaluate.evaluate)
+app.command("report", rich_help_panel="Examine", help=reflowed(report.HELP))(report.report)
+app.command("params", rich_help_panel="Examine", help=reflowed(params.HELP))(params.params)
+app.command("sim", rich_help_panel="Simulate", help=reflowed(sim.HELP))(sim.sim)
+app.command("campaign", rich_help_panel="Simulate", help=reflowed(campaign.HELP))(campaign.campaign)
+app.command("docs", rich_help_panel="For developers", help=reflowed(docs.HELP))(docs.docs)
 
 
 @app.callback(invoke_without_command=True)
@@ -61,7 +64,7 @@ def main() -> None:
     from fbn_bringup import ui
 
     try:
-        app()
+        app(prog_name="fbn")
     except KeyboardInterrupt:
         ui.err.print("stopped")
         sys.exit(130)

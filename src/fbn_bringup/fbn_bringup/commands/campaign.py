@@ -17,7 +17,6 @@ the summary to JSON. A seed that fails is a row with its error, and the exit sta
 Examples:
 
   fbn campaign charles_river_2006 --seeds 0:20
-
   fbn campaign row_ambiguity --seeds 0:100 --set global.matching=JCBB -o out/jcbb
 """
 

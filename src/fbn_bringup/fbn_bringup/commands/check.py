@@ -15,9 +15,7 @@ do without what is missing. Exit status: 0 it can navigate, 1 it cannot.
 Examples:
 
   fbn check my_bag
-
   fbn check my_bag --namespace ranger
-
   fbn check my_bag --json | jq .findings
 """
 

@@ -12,10 +12,8 @@ HELP = """Replay the sample log through the five nodes over DDS, evaluate it, an
 Examples:
 
   fbn demo
-
-  fbn demo --offline                           without DDS, in one process
-
-  fbn demo --seed 7                            another mission: simulated first, so that nothing is tuned to one log
+  fbn demo --offline  # without DDS, in one process
+  fbn demo --seed 7  # another mission: simulated first, so that nothing is tuned to one log
 """
 
 BAG = "bags/charles_river_2006"

@@ -12,8 +12,7 @@ HELP = """Make the generated pages of the docs anew: topics, parameters, the dat
 Examples:
 
   fbn docs
-
-  fbn docs --check                             change nothing; status 1 if a page is not current
+  fbn docs --check  # change nothing; status 1 if a page is not current
 """
 
 

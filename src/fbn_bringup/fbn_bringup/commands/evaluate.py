@@ -16,10 +16,8 @@ into the run's directory. docs/concepts.md defines each number.
 Examples:
 
   fbn evaluate out/charles_river_2006
-
   fbn evaluate out/charles_river_2006 --json > numbers.json
-
-  fbn evaluate my_recorded_bag                 a bag recorded on the vehicle works too
+  fbn evaluate my_recorded_bag  # a bag recorded on the vehicle works too
 """
 
 

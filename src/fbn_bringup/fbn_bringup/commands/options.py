@@ -52,7 +52,7 @@ def nodes(only: str) -> tuple[str, ...]:
     try:
         return tuple(GRAPH.node(name.strip()).name for name in only.split(",") if name.strip())
     except KeyError as error:
-        fail(str(error.args[0]), 2)
+        fail(f"--only: {error.args[0]}", 2)
 
 
 def overrides(settings: list[str] | None, prior_map: Path | None) -> dict[str, object]:
@@ -65,12 +65,12 @@ def overrides(settings: list[str] | None, prior_map: Path | None) -> dict[str, o
     if prior_map is not None:
         if not prior_map.is_file():
             fail(f"{prior_map}: no such map file", 2)
-        found["fbn_global.prior_map"] = str(prior_map.resolve())
+        found["global.prior_map"] = str(prior_map.resolve())
     for setting in settings or ():
         name, equals, value = setting.partition("=")
         if not equals or "." not in name:
-            fail(f"--set {setting!r}: expected NODE.NAME=VALUE, e.g. fbn_global.gate=9.0", 2)
-        found[name if name.startswith("fbn_") else f"fbn_{name}"] = yaml.safe_load(value)
+            fail(f"--set {setting!r}: expected NODE.NAME=VALUE; fbn params lists the names", 2)
+        found[name] = yaml.safe_load(value)
     return found
 
 

@@ -11,13 +11,10 @@ HELP = """List every parameter: default, unit, what it is, and where the number 
 
 Examples:
 
-  fbn params                                   all nodes
-
-  fbn params tracking                          one node
-
-  fbn params --match sigma                     names or descriptions with a word
-
-  fbn params tracking --yaml > tracking.yaml   a file to start from: edit it, then fbn replay --params tracking.yaml
+  fbn params  # all nodes
+  fbn params tracking  # one node
+  fbn params --match sigma  # names or descriptions with a word
+  fbn params tracking --yaml > tracking.yaml  # a file to start from: edit it, then fbn replay --params tracking.yaml
 """
 
 

@@ -17,11 +17,8 @@ processes over DDS, in lock step with the log: nothing is lost, and it goes as f
 Examples:
 
   fbn replay bags/charles_river_2006 -o out/river
-
-  fbn replay my_bag --offline                  one process, no DDS, fastest, the same answer
-
-  fbn replay my_bag --rate 1                   paced by time, as on the vehicle
-
+  fbn replay my_bag --offline  # one process, no DDS, fastest, the same answer
+  fbn replay my_bag --rate 1  # paced by time, as on the vehicle
   fbn replay out/river/bag --only tracking,global --set global.matching=JCBB -o out/again
 """
 

@@ -14,8 +14,7 @@ and latencies, health, parameters. The file opens without a network.
 
 Examples:
 
-  fbn report out/charles_river_2006            writes out/charles_river_2006/report/
-
+  fbn report out/charles_river_2006  # writes out/charles_river_2006/report/
   fbn report out/charles_river_2006 -o /tmp/r --no-png
 """
 

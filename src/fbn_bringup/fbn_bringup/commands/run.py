@@ -15,10 +15,8 @@ ros2 launch fbn_bringup fbn.launch.py.
 Examples:
 
   fbn run --params ranger.yaml --map field.geojson
-
   fbn run --namespace ranger --params ranger.yaml
-
-  fbn run --only predict,deadreck              dead reckoning alone
+  fbn run --only predict,deadreck  # dead reckoning alone
 """
 
 

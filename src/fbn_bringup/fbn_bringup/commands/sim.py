@@ -14,10 +14,8 @@ errors, clutter. The same seed gives the same bag.
 
 Examples:
 
-  fbn sim                                      list the scenarios
-
+  fbn sim  # list the scenarios
   fbn sim charles_river_2006 -o bags/river --seed 7
-
   fbn sim my_scenario.yaml
 """
 

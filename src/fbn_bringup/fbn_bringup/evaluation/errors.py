@@ -44,8 +44,10 @@ class ErrorSeries:
 
 
 def against(estimate: Track, truth: Track) -> ErrorSeries:
-    """Errors of an estimate at its own stamps, where truth is known."""
-    kept = estimate.within(truth)
+    """Errors of an estimate where truth is known, at the stamps of the sparser of both: that one is not interpolated."""
+    kept, true = estimate.within(truth), truth.within(estimate)
+    if len(kept) and len(true) < len(kept):
+        kept = estimate.at(true.stamp_ns)
     true = truth.at(kept.stamp_ns)
     rotation = (kept.rotation * true.rotation.inv()).as_rotvec() if len(kept) else np.zeros((0, 3))
     return ErrorSeries(kept, kept.position - true.position, rotation)

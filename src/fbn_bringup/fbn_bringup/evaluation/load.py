@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fbn_bringup.evaluation import truth as t
-from fbn_bringup.evaluation.run import NOT_KEPT, Item, Run, collect
+from fbn_bringup.evaluation.run import NOT_KEPT, Item, Run, Timing, collect
 from fbn_common.estimator import Health, Level
 from fbn_common.records import Record
 from fbn_common.types import NS
@@ -72,5 +72,8 @@ def _truth_beside(path: Path, summary: RunSummary | None) -> Path | None:
 
 
 def _with_summary(run: Run, summary: RunSummary) -> Run:
-    health = {n.name: Health(Level(n.level), n.message, dict(n.values)) for n in summary.nodes}
-    return replace(run, health=health, parameters=summary.parameters)
+    health = {name: Health(Level[n.level], n.message, dict(n.values)) for name, n in summary.nodes.items()}
+    parameters = {name: dict(values["ros__parameters"]) for name, values in summary.parameters.items()}
+    cpu_s = {name: n.cpu_s for name, n in summary.nodes.items()}
+    timing = Timing(summary.mode, summary.wall_s, summary.log_s, cpu_s)
+    return replace(run, health=health, parameters=parameters, timing=timing)

@@ -29,6 +29,21 @@ class RunError(ValueError):
     """A run cannot be evaluated; the text says what is missing and what to do."""
 
 
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """What a replay cost."""
+
+    mode: str  # offline, lock step, or paced
+    wall_s: float
+    log_s: float
+    cpu_s: dict[str, float]  # by node
+
+    @property
+    def speed(self) -> float:
+        """Times real time."""
+        return self.log_s / self.wall_s if self.wall_s > 0 else 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
     """One run: tracks by topic, the other records by topic, innovations by sensor, traffic by topic."""
@@ -41,6 +56,7 @@ class Run:
     truth: Truth | None = None  # in the run's map
     health: dict[str, Health] = field(default_factory=dict)
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    timing: Timing | None = None
 
     def of(self, topic: str, kind: type[R]) -> list[R]:
         """The records of a topic, by stamp."""

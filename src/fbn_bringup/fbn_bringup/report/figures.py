@@ -45,9 +45,9 @@ def line(x: Array, y: Array, look: st.Look, **more: Any) -> go.Scatter:
     return go.Scatter(x=rounded(x), y=rounded(y), **(usual | more))
 
 
-def rounded(values: Array, digits: int = 3) -> Array:
-    """Fewer digits make a smaller file."""
-    return np.round(np.asarray(values, dtype=float), digits)
+def rounded(values: Array, digits: int = 3) -> Any:
+    """Fewer bits make a smaller file."""
+    return np.round(np.asarray(values, dtype=float), digits).astype(np.float32)
 
 
 # --- map -------------------------------------------------------------------------------------------------
