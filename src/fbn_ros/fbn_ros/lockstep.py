@@ -1,0 +1,104 @@
+"""Lock step over DDS: who may advance when, so that a replay by processes is the one in a single process.
+
+The player and every node tell, step by step, how many messages they have published on each topic so far
+(``NodeProgress``).  A node advances when it has received what was promised to it for the step: of the messages
+logged and of the nodes before it those of this step, of topics that close a loop those of the step before.
+Messages of later steps wait in their queues.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from fbn_common.records import NodeProgress, TopicCount
+
+PLAYER = "player"
+FIRST_STEP = 1
+
+
+class Due(NamedTuple):
+    """A step that can be taken: messages by topic, in the order of the topics' declaration."""
+
+    step: int
+    stamp_ns: int
+    messages: list[tuple[str, list[Any]]]
+
+
+class Missing(NamedTuple):
+    """What a step still waits for."""
+
+    topic: str
+    publisher: str
+    expected: int | None  # None: not even told yet
+    received: int
+
+
+class StepGate:
+    """Holds a subscriber's messages until all of the next step are there.
+
+    ``publishers`` names the node that publishes a topic; the player speaks for the topics it lists.
+    """
+
+    def __init__(self, inputs: Sequence[str], feedback: Sequence[str], publishers: Mapping[str, str]) -> None:
+        self.step = FIRST_STEP  # the next to be taken
+        self._lag = {t: 0 for t in inputs} | {t: 1 for t in feedback}
+        self._publishers = publishers
+        self._queues: dict[str, deque[Any]] = {t: deque() for t in self._lag}
+        self._taken: Counter[str] = Counter()
+        self._promises: dict[str, dict[int, NodeProgress]] = {}
+        self._played: frozenset[str] = frozenset()
+
+    def add(self, topic: str, message: Any) -> None:
+        """A message has come."""
+        self._queues[topic].append(message)
+
+    def promise(self, progress: NodeProgress) -> None:
+        """A publisher has told how many it has sent."""
+        self._promises.setdefault(progress.node, {})[progress.step] = progress
+        if progress.node == PLAYER:
+            self._played = frozenset(c.topic for c in progress.published)
+
+    def due(self) -> Due | None:
+        """The next step's messages, if all are there; the step counts as taken."""
+        player = self._promises.get(PLAYER, {}).get(self.step)
+        if player is None or any(self.missing()):
+            return None
+        messages = [(topic, self._take(topic)) for topic in self._lag]
+        due = Due(self.step, player.stamp_ns, messages)
+        self.step += 1
+        for promised in self._promises.values():
+            promised.pop(self.step - 2, None)
+        return due
+
+    def missing(self) -> Iterable[Missing]:
+        """What the next step waits for."""
+        for topic in self._lag:
+            expected, received = self._expected(topic), self._taken[topic] + len(self._queues[topic])
+            if expected is None or received < expected:
+                yield Missing(topic, self._source(topic), expected, received)
+
+    def _source(self, topic: str) -> str:
+        return PLAYER if topic in self._played else self._publishers.get(topic, PLAYER)
+
+    def _expected(self, topic: str) -> int | None:
+        step = self.step - self._lag[topic]
+        if step < FIRST_STEP:
+            return 0
+        progress = self._promises.get(self._source(topic), {}).get(step)
+        if progress is None:
+            return None
+        return next((c.count for c in progress.published if c.topic == topic), 0)
+
+    def _take(self, topic: str) -> list[Any]:
+        count = (self._expected(topic) or 0) - self._taken[topic]
+        self._taken[topic] += count
+        queue = self._queues[topic]
+        return [queue.popleft() for _ in range(count)]
+
+
+def progress(node: str, step: int, stamp_ns: int, topics: Iterable[str], published: Mapping[str, int]) -> NodeProgress:
+    """What a node tells after a step: every topic it speaks for, with what it has sent so far."""
+    counts = tuple(TopicCount(topic, published.get(topic, 0)) for topic in topics)
+    return NodeProgress(stamp_ns, "", node, step, counts)

@@ -1,0 +1,112 @@
+"""What RViz and Foxglove draw: tracked features, the map, and where the vehicle may be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from geometry_msgs.msg import Pose as RosPose
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from fbn_common import records as r
+from fbn_common.lie import quaternion_from_matrix
+from fbn_common.types import NS, Mat3, Vec3
+
+Colour = tuple[float, float, float, float]
+
+COLOURS: dict[r.Stage, Colour] = {
+    r.Stage.INFANT: (0.6, 0.6, 0.6, 0.5),
+    r.Stage.FEATURE: (1.0, 0.55, 0.0, 0.8),
+    r.Stage.RETIRED: (0.2, 0.4, 0.8, 0.5),
+}
+PRIOR: Colour = (0.1, 0.6, 0.2, 0.7)
+FOUND: Colour = (1.0, 0.8, 0.1, 0.7)
+TARGET: Colour = (0.9, 0.1, 0.1, 0.9)
+SMALLEST_M = 0.3  # a feature known to a centimetre is still to be seen
+SIGMAS = 2.0  # of the ellipsoids' half axes
+ARROW = (2.0, 0.3, 0.3)
+
+
+def markers_of(record: r.Record) -> Any | None:
+    """The MarkerArray of a record; it replaces the one before.  None for records that are not drawn."""
+    draw = _DRAWN.get(type(record))
+    if draw is None:
+        return None
+    frame_id = record.frame_id  # type: ignore[attr-defined]
+    header = Header(stamp=Time(sec=record.stamp_ns // NS, nanosec=record.stamp_ns % NS), frame_id=frame_id)
+    markers = [Marker(header=header, action=Marker.DELETEALL)]
+    for i, marker in enumerate(draw(record)):
+        marker.header, marker.id, marker.action = header, i, Marker.ADD
+        markers.append(marker)
+    return MarkerArray(markers=markers)
+
+
+def _tracked(record: r.TrackedFeatures) -> Iterator[Any]:
+    for feature in record.features:
+        yield _ellipsoid(feature.position, feature.covariance, COLOURS[feature.stage], feature.stage.name.lower())
+        yield _label(feature.position, f"{feature.key} ({feature.detections})")
+
+
+def _map(record: r.FeatureMap) -> Iterator[Any]:
+    for i, feature in enumerate(record.features):
+        block = record.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        colour = TARGET if feature.target else PRIOR if feature.prior else FOUND
+        yield _ellipsoid(feature.position, block, colour, "prior" if feature.prior else "found")
+        yield _label(feature.position, feature.name or str(feature.id))
+
+
+def _hypotheses(record: r.MatchHypotheses) -> Iterator[Any]:
+    for hypothesis in record.hypotheses:
+        q = hypothesis.pose.orientation
+        pose = RosPose(position=_point(hypothesis.pose.position), orientation=_quaternion(q))
+        colour = (0.1, 0.3, 0.9, 0.2 + 0.8 * hypothesis.posterior)
+        yield Marker(ns="hypotheses", type=Marker.ARROW, pose=pose, scale=_vector(ARROW), color=_colour(colour))
+        yield _label(hypothesis.pose.position, f"{hypothesis.posterior:.2f} ({len(hypothesis.map_ids)} pairs)")
+
+
+_DRAWN: dict[type, Callable[[Any], Iterator[Any]]] = {
+    r.TrackedFeatures: _tracked,
+    r.FeatureMap: _map,
+    r.MatchHypotheses: _hypotheses,
+}
+
+
+def _ellipsoid(position: Vec3, covariance: Mat3, colour: Colour, namespace: str) -> Any:
+    """Two standard deviations around a position."""
+    variances, axes = np.linalg.eigh(covariance)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] *= -1.0  # a reflection is no rotation
+    q = quaternion_from_matrix(np.ascontiguousarray(axes))
+    diameters = np.maximum(2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0)), SMALLEST_M)
+    pose = RosPose(position=_point(position), orientation=_quaternion(q))
+    return Marker(ns=namespace, type=Marker.SPHERE, pose=pose, scale=_vector(diameters), color=_colour(colour))
+
+
+def _label(position: Vec3, text: str) -> Any:
+    above = RosPose(position=_point(position + np.array([0.0, 0.0, 1.0])))
+    scale = Vector3(z=0.6)
+    return Marker(
+        ns="labels", type=Marker.TEXT_VIEW_FACING, pose=above, scale=scale, color=_colour((0, 0, 0, 1)), text=text
+    )
+
+
+def _point(v: Vec3) -> Any:
+    return Point(x=float(v[0]), y=float(v[1]), z=float(v[2]))
+
+
+def _vector(v: Any) -> Any:
+    return Vector3(x=float(v[0]), y=float(v[1]), z=float(v[2]))
+
+
+def _quaternion(q: Any) -> Any:
+    return Quaternion(x=float(q[0]), y=float(q[1]), z=float(q[2]), w=float(q[3]))
+
+
+def _colour(colour: Colour) -> Any:
+    return ColorRGBA(r=float(colour[0]), g=float(colour[1]), b=float(colour[2]), a=float(colour[3]))
+
+
