@@ -44,6 +44,7 @@ except ImportError:
     sys.exit("lacks venv (Debian, Ubuntu: apt install " + package + "-venv)")
 if not pathlib.Path(sysconfig.get_path("include"), "Python.h").exists():
     sys.exit("lacks its C headers (Debian, Ubuntu: apt install " + package + "-dev)")
+print(sys._base_executable)  # a virtual environment's own Python would go with it
 """
 
 DEFAULTS = """
@@ -109,7 +110,7 @@ def find_python(underlay: str) -> str:
         if shutil.which(name):
             answer = subprocess.run(probe, capture_output=True, text=True)
             if answer.returncode == 0:
-                return name
+                return answer.stdout.strip()
             reasons.append(f"{name} {(answer.stderr.split(chr(10))[0] or 'does not run')}")
     raise SetupError("needs Python 3.11 or 3.12, but " + ("; ".join(reasons) or "found no python3"))
 
@@ -156,8 +157,12 @@ def create_environment(requirements: Path, underlay: str) -> None:
         run(python, "-m", "venv", *site, str(VENV))
         run(str(PYTHON), "-m", "pip", "install", UV)
     with step(f"libraries of {requirements.name}"):
-        options = ("--require-hashes", "--compile-bytecode", "--python", str(PYTHON))
-        run(str(VENV / "bin/uv"), "pip", "install", *options, "-r", str(requirements))
+        locked = ("install", "--require-hashes", "-r", str(requirements))
+        try:
+            options = ("--compile-bytecode", "--system-certs", "--python", str(PYTHON))
+            run(str(VENV / "bin/uv"), "pip", *locked, *options)
+        except SetupError:  # pip is slow, but knows this machine's mirrors and certificates
+            run(str(PYTHON), "-m", "pip", *locked)
         if not underlay:
             run(str(PYTHON), str(WHEELS / "write_prefix.py"))
     cmake = [f"-DPython3_EXECUTABLE={PYTHON}", "-DBUILD_TESTING=OFF"]
