@@ -1,0 +1,457 @@
+"""What the dead-reckoning and the reference filter have in common: intake, start, odometry, answers, health."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from fbn_common.estimator import Health, Level, Output
+from fbn_common.lie import matrix_from_quaternion, quaternion_from_matrix
+from fbn_common.motion_ekf.adopt import adopt_covariance
+from fbn_common.motion_ekf.core import MotionEkf, State, fresh_sensors
+from fbn_common.motion_ekf.layout import (
+    ACTUATION,
+    CLIMB_ROW,
+    COMPASS,
+    COMPASS_ROW,
+    DAMPING,
+    DEPTH,
+    DEPTH_ROW,
+    GRID_NS,
+    POSITION,
+    ROTATION,
+    SIZE_DEADRECK,
+    SNAPSHOT_NS,
+    VELOCITY,
+    WATER,
+    X_PARAMETERS,
+    X_SIZE,
+    X_VELOCITY,
+    Config,
+    Kind,
+    Reason,
+)
+from fbn_common.motion_ekf.monitor import Watch, all_finite, content_of, health_of, refusal
+from fbn_common.motion_ekf.parameters import (
+    AltimeterParameters,
+    CompassParameters,
+    DepthParameters,
+    HistoryParameters,
+    SensorParameters,
+    WalkParameters,
+    quantile_table,
+    walk_densities,
+)
+from fbn_common.motion_ekf.propagate import rotation_of, set_rotation
+from fbn_common.motion_ekf.sensors import Unusable, altitude_data, compass_data, compass_rotation, depth_data
+from fbn_common.parameters import group
+from fbn_common.records import (
+    FluidPressure,
+    Imu,
+    Innovation,
+    Odometry,
+    Pose,
+    PredictedMotion,
+    Range,
+    Record,
+    VehicleParameters,
+    Verdict,
+)
+from fbn_common.types import Array, nanoseconds, seconds
+
+_REASONS = {
+    Reason.NONE: "",
+    Reason.GATE: "outside the gate",
+    Reason.RULE: "no better than the filter's own position",
+    Reason.UNDER_WATER: "a fix under water",
+    Reason.DROPPED: "this beacon disagreed too often",
+    Reason.RESET: "gate reset after consistent outliers",
+    Reason.SINGULAR: "innovation covariance not positive definite",
+    Reason.BASE: "base of the next vertical speed",
+    Reason.TILTED: "does not look down",
+}
+_BRIDGE = np.array([0.02, 0.02, 0.02, 0.05, 0.05, 0.05])  # m^2/s^3, rad^2/s^3: 0.15 m/s and 0.2 rad/s after 1 s
+
+
+@dataclass(frozen=True, slots=True)
+class FilterParameters:
+    """Parameters that both filters have."""
+
+    compass: CompassParameters = group(CompassParameters)
+    depth: DepthParameters = group(DepthParameters)
+    altimeter: AltimeterParameters = group(AltimeterParameters)
+    walk: WalkParameters = group(WalkParameters)
+    history: HistoryParameters = group(HistoryParameters)
+
+
+@dataclass(slots=True)
+class Intake:
+    """How one topic's records become measurements."""
+
+    sensor: str
+    parameters: SensorParameters
+    kind: Kind
+    row: int
+    data: Callable[[Any], Array | None]
+    content: Callable[[Any], bytes]
+    watch: Watch = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.watch = Watch(self.parameters.frozen_after, self.parameters.dead_after if self.parameters.use else 0.0)
+
+
+class MotionFilter:
+    """Base of both filters; a subclass adds its own topics, its start in x and y, and its services."""
+
+    name = ""
+    frame_id = ""
+    size = SIZE_DEADRECK
+    estimated = ACTUATION + 3
+
+    def __init__(self, parameters: FilterParameters, ranks: dict[str, int], rows: int) -> None:
+        self.parameters = parameters
+        self.ranks = ranks
+        self.intakes = self._common_intakes()
+        self.rows = rows
+        self._restart()
+
+    # --- what a subclass says ---------------------------------------------------------------------------
+
+    def config(self) -> Config:
+        """The kernels' numbers."""
+        p = self.parameters
+        walk, limit = walk_densities(p.walk)
+        tau = np.array([p.compass.tilt_time_constant] * 2 + [p.compass.time_constant, p.depth.time_constant, 1.0, 1.0])
+        variance = np.array([p.compass.tilt**2] * 2 + [p.compass.deviation**2, p.depth.bias**2, 1.0, 1.0])
+        lockout, lever = np.full(len(Kind), 1e18), np.zeros((len(Kind), 3))
+        gates = {i.kind: i.parameters.gate for i in self.intakes.values()}
+        for intake in self.intakes.values():
+            lockout[intake.kind] = intake.parameters.lockout
+        lever[Kind.DEPTH] = p.depth.position
+        return Config(
+            self.estimated, SNAPSHOT_NS, walk, limit, tau, variance, p.compass.heading_scale, p.compass.dip,
+            p.depth.density_sigma / p.depth.bias, quantile_table(gates), lockout, lever, 1.0, 1.0, True, 60.0,
+        )  # fmt: skip
+
+    def position_variance(self) -> float:
+        """Of x and y at the start [m^2]."""
+        return 1e-4
+
+    def take(self, topic: str, record: Record, now_ns: int) -> list[Output]:
+        """Take in a record of a topic of the subclass's own."""
+        return []
+
+    def services(self, now_ns: int) -> list[Output]:
+        """What else there is to publish after an advance."""
+        return []
+
+    def notes(self) -> list[str]:
+        """What else there is to complain of."""
+        return []
+
+    # --- the two doors ----------------------------------------------------------------------------------
+
+    def put(self, topic: str, record: Record) -> None:
+        """Keep a record for the next advance."""
+        self._inbox.append((topic, record))
+
+    def advance(self, now_ns: int) -> list[Output]:
+        """Process all that is stamped up to now, as far as the predicted motions reach."""
+        out: list[Output] = []
+        inbox, self._inbox = self._inbox, []
+        if now_ns < self._now_ns:
+            out.append(self._say(now_ns, "clock", Verdict.REFUSED, f"went back by {seconds(self._now_ns - now_ns):.3g} s: reset"))
+            self._restart()
+        self._now_ns = now_ns
+        for topic, record in inbox:
+            out += self._admit(topic, record, now_ns)
+        if self.ekf.head_ns < 0:
+            out += self._try_start(now_ns)
+        if self.ekf.head_ns >= 0:
+            self.ekf.advance(now_ns)
+            out += self._bridge(now_ns)
+            out += self._answers()
+            out += self._odometry()
+            out += self.services(now_ns)
+        return out
+
+    def health(self) -> Health:
+        """One line, and the counters of all sensors."""
+        notes = [*self._notes, *self.notes()]
+        values: dict[str, int | float | str] = {"reruns": self.ekf.reruns, "bridged": self._bridged, "resets": self.resets}
+        if self.ekf.head_ns < 0:
+            wanted = "first compass, depth, motion and parameters"
+            health = health_of(self._watches(), self._now_ns, [f"waiting for {wanted}", *notes], values)
+            return replace(health, level=Level.WARN)
+        behind = seconds(self._now_ns - self.ekf.head_ns)
+        values["behind_s"] = round(behind, 3)
+        if behind > 1.0:
+            notes.append(f"no predicted motion for {behind:.1f} s")
+        return health_of(self._watches(), self._now_ns, notes, values)
+
+    # --- intake -----------------------------------------------------------------------------------------
+
+    def _common_intakes(self) -> dict[str, Intake]:
+        p = self.parameters
+        return {
+            "imu/data": Intake(
+                "compass", p.compass, Kind.COMPASS, COMPASS_ROW,
+                lambda r: compass_data(r, p.compass), lambda r: content_of(r.orientation),
+            ),
+            "pressure": Intake(
+                "depth", p.depth, Kind.DEPTH, DEPTH_ROW,
+                lambda r: depth_data(r, p.depth), lambda r: content_of(r.fluid_pressure),
+            ),
+            "altitude": Intake(
+                "altimeter", p.altimeter, Kind.CLIMB, CLIMB_ROW,
+                lambda r: altitude_data(r, p.altimeter), lambda r: content_of(r.range),
+            ),
+        }  # fmt: skip
+
+    def _admit(self, topic: str, record: Record, now_ns: int) -> list[Output]:
+        if isinstance(record, PredictedMotion):
+            return self._take_motion(record, now_ns)
+        if isinstance(record, VehicleParameters):
+            return self._take_parameters(record)
+        intake = self.intakes.get(topic)
+        if intake is None:
+            return self.take(topic, record, now_ns)
+        return self.measure(intake, topic, record, now_ns)
+
+    def measure(self, intake: Intake, topic: str, record: Record, now_ns: int) -> list[Output]:
+        """Put a measurement into the timeline, or say why not."""
+        head, history = self.ekf.head_ns, self.parameters.history
+        oldest = max(self.ekf.base.stamp_ns + 1, head - self.ekf.history_ns) if head >= 0 else 0
+        bounds = (oldest, now_ns + nanoseconds(history.ahead))
+        objection = intake.watch.objection(record.stamp_ns, intake.content(record), bounds)
+        if not intake.parameters.use:
+            objection = (Verdict.REFUSED, "switched off by parameter")
+        if objection is not None:
+            return [self._refuse(intake, record.stamp_ns, *objection)]
+        try:
+            data = intake.data(record)
+        except Unusable as error:
+            return [self._refuse(intake, record.stamp_ns, Verdict.REFUSED, str(error))]
+        if data is None:
+            intake.watch.verdicts["NO_BOTTOM"] += 1
+            return []
+        slot = self.ekf.put_event(record.stamp_ns, self.ranks[topic], intake.kind, intake.row, data)
+        if slot < 0:
+            return [self._refuse(intake, record.stamp_ns, Verdict.REFUSED, "more measurements than the history holds")]
+        self._pending[slot] = intake
+        if intake.kind in (Kind.COMPASS, Kind.DEPTH) and head < 0:
+            self._first.setdefault(intake.kind, []).append(record)
+        return []
+
+    def _take_motion(self, motion: PredictedMotion, now_ns: int) -> list[Output]:
+        error = self.ekf.put_motion(motion)
+        if motion.stamp_ns < self.ekf.head_ns - self.ekf.history_ns:
+            error = "older than the history"
+        return [self._say(motion.stamp_ns, "predict", Verdict.REFUSED, error)] if error else []
+
+    def _take_parameters(self, record: VehicleParameters) -> list[Output]:
+        c = record.covariance
+        if not all_finite(record.mean, c) or np.linalg.eigvalsh(0.5 * (c + c.T))[0] < 0.0:
+            return [self._say(record.stamp_ns, "parameters", Verdict.REFUSED, "not finite, or not a covariance")]
+        if self._prior is None:
+            self._prior = record
+        elif self.estimated == ACTUATION + 3:  # who estimates them all is the one they come from
+            slot = self.ekf.put_event(
+                record.stamp_ns, self.ranks["predict/parameters"], Kind.PARAMETERS, CLIMB_ROW, np.zeros(1)
+            )
+            self._adoptions[slot] = record
+        return []
+
+    def _adopt(self, slot: int, x: Array, p: Array) -> None:
+        """Take over the covariance of the considered parameters; their mean comes with each motion."""
+        record = self._adoptions.get(slot)
+        if record is not None:
+            adopt_covariance(p, slice(DAMPING, WATER + 3), record.covariance[3:, 3:] + 1e-12 * np.eye(12))
+
+    # --- start, gaps ------------------------------------------------------------------------------------
+
+    def _restart(self) -> None:
+        """Forget everything: at construction, and when the clock went back."""
+        self.resets = getattr(self, "resets", -1) + 1
+        for intake in self.intakes.values():
+            intake.__post_init__()
+        self.ekf = MotionEkf(self.size, self.rows, self.config(), self.parameters.history.length, self._adopt)
+        self._inbox: list[tuple[str, Record]] = []
+        self._pending: dict[int, Intake] = {}
+        self._adoptions: dict[int, VehicleParameters] = {}
+        self._first: dict[Kind, list[Any]] = {}
+        self._notes: list[str] = []
+        self._prior: VehicleParameters | None = getattr(self, "_prior", None)
+        self._now_ns = self._odometry_ns = -1
+        self._bridged = 0
+
+    def _try_start(self, now_ns: int) -> list[Output]:
+        """Start at the first stamp by which compass and depth have measured and motions reach."""
+        compass, depth = self._first.get(Kind.COMPASS, []), self._first.get(Kind.DEPTH, [])
+        motions = self.ekf.motions
+        if self._prior is None or motions.first_ns < 0 or not compass:
+            return []
+        patient = now_ns - compass[0].stamp_ns < nanoseconds(self.parameters.history.start_timeout)
+        if not depth and self.parameters.depth.use and patient:
+            return []
+        firsts = [motions.first_ns, min(r.stamp_ns for r in compass)]
+        if depth:
+            firsts.append(min(r.stamp_ns for r in depth))
+        t0 = max(firsts)
+        if t0 >= motions.newest_ns or not motions.has((t0 // GRID_NS + 1) * GRID_NS):
+            return []
+        imu = max((r for r in compass if r.stamp_ns <= t0), key=lambda r: r.stamp_ns)
+        pressure = max((r for r in depth if r.stamp_ns <= t0), key=lambda r: r.stamp_ns, default=None)
+        self.ekf.start(self._initial(t0, imu, pressure))
+        self._first.clear()
+        return self._too_early(t0)
+
+    def _initial(self, t0: int, imu: Imu, pressure: FluidPressure | None) -> State:
+        """Attitude and z from the first measurements, with their errors correlated to the sensors' own."""
+        assert self._prior is not None
+        x, p = np.zeros(X_SIZE), np.zeros((self.size, self.size))
+        config, c = self.ekf.config, self.parameters.compass
+        set_rotation(x, compass_rotation(imu))
+        x[X_PARAMETERS:] = self._prior.mean
+        k = (t0 // GRID_NS + 1) % len(self.ekf.motions.rows.stamp)
+        x[X_VELOCITY : X_VELOCITY + 6] = self.ekf.motions.rows.mean[k, 6:12]
+        p[POSITION, POSITION] = p[POSITION + 1, POSITION + 1] = self.position_variance()
+        p[VELOCITY : VELOCITY + 6, VELOCITY : VELOCITY + 6] = np.diag([0.5, 0.3, 0.3, 0.3, 0.3, 0.3]) ** 2
+        p[ACTUATION : WATER + 3, ACTUATION : WATER + 3] = self._prior.covariance + 1e-12 * np.eye(15)
+        n = self.size - COMPASS
+        p[COMPASS:, COMPASS:] = np.diag(config.variance[:n])
+        r = rotation_of(x)
+        h = np.column_stack((np.eye(3)[:, :2], r[2]))  # attitude's error by the compass's own
+        own = slice(COMPASS, COMPASS + 3)
+        white = compass_data(imu, c)[9:].reshape(3, 3)
+        attitude = slice(ROTATION, ROTATION + 3)
+        p[attitude, own] = -h @ p[own, own]
+        p[own, attitude] = p[attitude, own].T
+        p[attitude, attitude] = r.T @ white @ r + h @ p[own, own] @ h.T
+        z, variance = (0.0, 100.0) if pressure is None else depth_data(pressure, self.parameters.depth)
+        x[2] = z - (r @ np.array(self.parameters.depth.position))[2]
+        p[2, 2] = variance + p[DEPTH, DEPTH]
+        p[2, DEPTH] = p[DEPTH, 2] = -p[DEPTH, DEPTH] if pressure is not None else 0.0
+        return State(t0, x, p, fresh_sensors(self.rows))
+
+    def _too_early(self, t0: int) -> list[Output]:
+        """Answer what was measured before the start."""
+        out = []
+        n = self.ekf.events.after(t0)
+        for slot in self.ekf.events.slots[:n]:
+            intake = self._pending.pop(slot, None)
+            if intake is not None:
+                stamp = int(self.ekf.events.rows.stamp[slot])
+                out.append(self._refuse(intake, stamp, Verdict.REFUSED, "before the filter's start"))
+        return out
+
+    def _bridge(self, now_ns: int) -> list[Output]:
+        """Step over motions that never came: hold the velocity; after a long gap start anew, position kept."""
+        ekf, h = self.ekf, self.parameters.history
+        head, newest = ekf.head_ns, ekf.motions.newest_ns
+        missing = not ekf.motions.has(head + GRID_NS)
+        if not missing or newest - head < nanoseconds(h.patience) or now_ns - head < nanoseconds(h.patience):
+            return []
+        if newest - head > nanoseconds(h.max_gap):
+            return self._leap(newest - GRID_NS)
+        end = head + GRID_NS
+        while not ekf.motions.has(end):
+            ekf.motions.bridge(end, _BRIDGE)
+            self._bridged += 1
+            end += GRID_NS
+        said = self._say(head, "predict", Verdict.REFUSED, f"motions of {seconds(end - GRID_NS - head):.2f} s missing: velocity held")
+        ekf.advance(now_ns)
+        return [said]
+
+    def _leap(self, t1: int) -> list[Output]:
+        """Go on at ``t1`` with the position as it was, uncertain by what may have happened in the gap."""
+        t, x, p, sensors = self.ekf.state.copy()
+        gap = seconds(t1 - t)
+        opened = np.zeros(self.size)
+        opened[:3] = (self.parameters.history.drift_speed * gap) ** 2
+        opened[ROTATION : ROTATION + 3] = 1.0
+        opened[VELOCITY : VELOCITY + 6] = 0.25
+        self.ekf.start(State(t1 // GRID_NS * GRID_NS, x, p + np.diag(opened), sensors))
+        self._odometry_ns = -1
+        self.resets += 1
+        return [self._say(t1, "predict", Verdict.REFUSED, f"gap of {gap:.1f} s in the motions: started anew, position kept")]
+
+    # --- what goes out ----------------------------------------------------------------------------------
+
+    def _answers(self) -> list[Output]:
+        """One innovation for each measurement that was processed for the first time."""
+        out = []
+        events = self.ekf.events
+        for slot in events.slots[: events.after(self.ekf.head_ns)]:
+            intake = self._pending.pop(slot, None)
+            if intake is not None:
+                out.append(self._answer(slot, intake))
+        return out
+
+    def _answer(self, slot: int, intake: Intake) -> Output:
+        e = self.ekf.events.rows
+        n, verdict, reason = int(e.dof[slot]), Verdict(int(e.verdict[slot])), _REASONS[Reason(int(e.reason[slot]))]
+        intake.watch.verdicts[verdict.name] += 1
+        if Reason(int(e.reason[slot])) is Reason.RESET:
+            intake.watch.verdicts["RESET"] += 1
+        record = Innovation(
+            int(e.stamp[slot]), self.frame_id, intake.sensor, float(e.nis[slot]), n, verdict, reason,
+            e.innovation[slot, :n].copy(), e.sigma[slot, :n].copy(),
+        )  # fmt: skip
+        return Output(f"{self.name}/innovations", record)
+
+    def _refuse(self, intake: Intake, stamp_ns: int, verdict: Verdict, reason: str) -> Output:
+        intake.watch.verdicts[verdict.name] += 1
+        return self._say(stamp_ns, intake.sensor, verdict, reason)
+
+    def _say(self, stamp_ns: int, sensor: str, verdict: Verdict, reason: str) -> Output:
+        return Output(f"{self.name}/innovations", refusal(stamp_ns, self.frame_id, sensor, verdict, reason))
+
+    def _odometry(self) -> list[Output]:
+        """Odometry at each multiple of SNAPSHOT_NS that the head has passed since the last one."""
+        head = self.ekf.head_ns
+        stamp = self._odometry_ns + SNAPSHOT_NS
+        if self._odometry_ns < 0:
+            stamp = -(-self.ekf.base.stamp_ns // SNAPSHOT_NS) * SNAPSHOT_NS
+        out = []
+        while stamp <= head:
+            state = self.ekf.snapshot(stamp)
+            if state is not None and self.publishes(state):
+                out.append(Output(f"{self.name}/odometry", odometry(state, self.frame_id)))
+            self._odometry_ns = stamp
+            stamp += SNAPSHOT_NS
+        return out
+
+    def publishes(self, state: State) -> bool:
+        """Whether there is odometry to publish at all."""
+        return True
+
+    def _watches(self) -> dict[str, Watch]:
+        return {i.sensor: i.watch for i in self.intakes.values()}
+
+
+def pose_of(x: Array) -> Pose:
+    """Position and orientation of a state."""
+    return Pose(x[0:3].copy(), quaternion_from_matrix(rotation_of(x)))
+
+
+def odometry(state: State, frame_id: str) -> Odometry:
+    """A state as odometry: covariances in ROS order, fixed axes."""
+    x, p = state.x, state.covariance
+    r = rotation_of(x)
+    fixed = np.zeros((6, 6))
+    fixed[:3, :3], fixed[3:, 3:] = np.eye(3), r
+    pose = fixed @ p[:6, :6] @ fixed.T
+    twist = slice(VELOCITY, VELOCITY + 6)
+    return Odometry(
+        state.stamp_ns, frame_id, "base_link", pose_of(x), x[X_VELOCITY : X_VELOCITY + 6].copy(),
+        0.5 * (pose + pose.T), p[twist, twist].copy(),
+    )  # fmt: skip
+
+
+def rotation_from_pose(pose: Pose) -> Array:
+    """R_world_base (3, 3) of a pose."""
+    return np.asarray(matrix_from_quaternion(pose.orientation))

@@ -1,0 +1,186 @@
+"""Reference: absolute x and y, and the parameters of vehicle and water; may jump."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fbn_common.estimator import Output
+from fbn_common.geodesy import GeodeticPoint, enu_from_geodetic
+from fbn_common.graph import GRAPH
+from fbn_common.motion_ekf.core import State
+from fbn_common.motion_ekf.filter import Intake, MotionFilter
+from fbn_common.motion_ekf.layout import (
+    ACTUATION,
+    BEACON_ROW,
+    ESTIMATED_REFERENCE,
+    GPS,
+    GPS_ROW,
+    SIZE_REFERENCE,
+    WATER,
+    X_PARAMETERS,
+    Config,
+    Kind,
+)
+from fbn_common.motion_ekf.monitor import all_finite, content_of
+from fbn_common.motion_ekf.sensors import Unusable, usable_covariance
+from fbn_common.records import BeaconRange, Datum, NavSatFix, Record, ReferenceFix, VehicleParameters, Verdict
+from fbn_common.types import Array, nanoseconds
+from fbn_reference.parameters import ReferenceParameters
+from fbn_reference.service import Gain
+
+
+class Reference(MotionFilter):
+    """EKF over pose, velocity and all 15 parameters, with GPS and ranges; errors of sensors are considered."""
+
+    name = "reference"
+    frame_id = "map"
+    size = SIZE_REFERENCE
+    estimated = ESTIMATED_REFERENCE
+
+    def __init__(self, parameters: ReferenceParameters) -> None:
+        self.own = parameters
+        ranks = {topic: i for i, topic in enumerate(GRAPH.node("fbn_reference").inputs)}
+        self.datum = parameters.map.datum if parameters.map.datum_given else None
+        self._beacons = {name: self._beacon_intake(i, name) for i, name in enumerate(parameters.lbl.beacons)}
+        super().__init__(parameters, ranks, BEACON_ROW + len(self._beacons))
+        self._datum_said = False
+
+    def _restart(self) -> None:
+        super()._restart()
+        for intake in self._beacons.values():
+            intake.__post_init__()
+        self._gain: Gain | None = None
+        self._fix_ns = self._parameters_ns = -1
+
+    def config(self) -> Config:
+        """The kernels' numbers."""
+        gps, lbl = self.own.gps, self.own.lbl
+        base = super().config()
+        base.tau[GPS - 27 :] = gps.time_constant
+        base.lever[Kind.POSITION], base.lever[Kind.RANGE] = gps.position, lbl.position
+        base.lockout[Kind.RANGE] = lbl.lockout
+        base.gate[1:, Kind.RANGE] = base.gate[1:, Kind.POSITION]
+        return base._replace(white=gps.white, surface_depth=gps.surface_depth, rule=gps.rule, drop_s=lbl.drop)
+
+    def position_variance(self) -> float:
+        """Of x and y at the start [m^2]."""
+        return self.own.map.start_sigma**2
+
+    # --- taking in --------------------------------------------------------------------------------------
+
+    def _common_intakes(self) -> dict[str, Intake]:
+        gps = Intake(
+            "gps", self.own.gps, Kind.POSITION, GPS_ROW, self._fix_data,
+            lambda r: content_of(r.latitude, r.longitude, r.status) if r.status >= 0 else content_of(r.stamp_ns),
+        )  # fmt: skip
+        return super()._common_intakes() | {"gps/fix": gps}
+
+    def _beacon_intake(self, index: int, name: str) -> Intake:
+        beacon = self.own.lbl.beacons[name]
+
+        def data(record: Any) -> Array:
+            variance = max(record.range_variance, self.own.lbl.sigma_min**2) + beacon.sigma**2
+            return np.array([beacon.x, beacon.y, beacon.z, record.range, variance])
+
+        return Intake(
+            f"lbl.{name}", self.own.lbl, Kind.RANGE, BEACON_ROW + index, data, lambda r: content_of(r.range)
+        )
+
+    def take(self, topic: str, record: Record, now_ns: int) -> list[Output]:
+        """A range belongs to the middle of its travel."""
+        if not isinstance(record, BeaconRange):
+            return []
+        intake = self._beacons.get(record.beacon_id)
+        why = self._range_objection(record)
+        if intake is None or why:
+            return [self._say(record.stamp_ns, "lbl", Verdict.REFUSED, why or f"unknown beacon {record.beacon_id!r}")]
+        stamp = record.stamp_ns - nanoseconds(record.travel_delay / 2.0)
+        at_middle = BeaconRange(
+            stamp, record.frame_id, record.beacon_id, record.range, record.range_variance, record.travel_delay
+        )
+        return self.measure(intake, topic, at_middle, now_ns)
+
+    def _range_objection(self, record: BeaconRange) -> str:
+        lbl = self.own.lbl
+        if not all_finite(record.range, record.range_variance, record.travel_delay) or record.range_variance < 0.0:
+            return "range, variance or delay is not finite, or negative variance"
+        if not 0.0 < record.range <= lbl.max_range or not 0.0 <= record.travel_delay <= lbl.max_delay:
+            return f"range {record.range:.1f} m or delay {record.travel_delay:.2f} s out of bounds"
+        return ""
+
+    def _fix_data(self, fix: NavSatFix) -> Array:
+        """Data (5,) of a fix in ``map``: x, y, covariance xx, xy, yy; the first good one makes the datum."""
+        gps = self.own.gps
+        if fix.status < 0:
+            raise Unusable("no fix (status -1)")
+        if not all_finite(fix.latitude, fix.longitude) or abs(fix.latitude) > 90.0 or abs(fix.longitude) > 360.0:
+            raise Unusable("latitude or longitude is not finite, or no place on earth")
+        if fix.position_covariance_type == 0 or not np.any(fix.position_covariance):
+            raise Unusable("covariance unknown")
+        c = usable_covariance(np.ascontiguousarray(fix.position_covariance[:2, :2]), gps.sigma_max, gps.sigma_min)
+        if c[0, 0] + c[1, 1] > 2.0 * gps.sigma_max**2:
+            raise Unusable(f"standard deviation over {gps.sigma_max} m")
+        if self.datum is None:
+            if self.ekf.head_ns >= 0 and -self.ekf.state.x[2] > gps.surface_depth:
+                raise Unusable("a fix under water")
+            self.datum = GeodeticPoint(fix.latitude, fix.longitude, fix.altitude if np.isfinite(fix.altitude) else 0.0)
+        height = self.datum.height  # the vehicle's z comes from its depth
+        x, y, _ = enu_from_geodetic(fix.latitude, fix.longitude, height, self.datum)
+        return np.array([x, y, c[0, 0], c[0, 1], c[1, 1]])
+
+    # --- what goes out ----------------------------------------------------------------------------------
+
+    def _initial(self, t0: int, imu: Any, pressure: Any) -> State:
+        state = super()._initial(t0, imu, pressure)
+        state.x[0], state.x[1] = self.own.map.start_x, self.own.map.start_y
+        return state
+
+    def publishes(self, state: State) -> bool:
+        """``map`` exists once there is a datum."""
+        return self.datum is not None
+
+    def services(self, now_ns: int) -> list[Output]:
+        """The datum once, parameters when due, and a fix where information was gained."""
+        out: list[Output] = []
+        if self.datum is not None and not self._datum_said:
+            self._datum_said = True
+            d = self.datum
+            record = Datum(self.ekf.head_ns, "map", d.latitude, d.longitude, d.height)
+            out.append(Output("reference/datum", record))
+        out += self._gained()
+        if self._position_known() and self.ekf.head_ns - self._parameters_ns >= nanoseconds(self.own.parameters_period):
+            out.append(Output("reference/parameters", self._parameters_record()))
+        return out
+
+    def _position_known(self) -> bool:
+        p = self.ekf.state.covariance
+        return bool(max(p[0, 0], p[1, 1]) < self.own.known_sigma**2)
+
+    def _parameters_record(self) -> VehicleParameters:
+        state = self.ekf.state
+        self._parameters_ns = state.stamp_ns
+        block = slice(ACTUATION, WATER + 3)
+        return VehicleParameters(
+            state.stamp_ns, "map", state.x[X_PARAMETERS:].copy(), state.covariance[block, block].copy()
+        )
+
+    def _gained(self) -> list[Output]:
+        """Follow the measurements of position that are settled; publish their information when it is worth it."""
+        events, due = self.ekf.events, self.ekf.head_ns - nanoseconds(self.own.fix_delay)
+        rows = events.rows
+        for slot in events.slots[: events.after(due)]:
+            position = rows.kind[slot] in (Kind.POSITION, Kind.RANGE)
+            if not position or int(rows.stamp[slot]) <= self._fix_ns or rows.verdict[slot] != Verdict.USED:
+                continue
+            self._fix_ns = int(rows.stamp[slot])
+            if self._gain is None:
+                row = rows.xy[slot]
+                self._gain = Gain(row[:2], np.array([[row[2], row[3]], [row[3], row[4]]]))
+            self._gain.add(rows.xy[slot, :5], rows.xy[slot, 5:])
+        gain = self._gain
+        if gain is None or not gain.worth(self.own.fix_gain) or not self._position_known():
+            return []
+        xy, covariance = gain.collect()
+        return [Output("reference/fix", ReferenceFix(self._fix_ns, "map", xy, covariance))]
