@@ -31,9 +31,16 @@ def effective(parameters: Parameters) -> dict[str, dict[str, Any]]:
     return {name: {"ros__parameters": flatten(values)} for name, values in parameters.items()}
 
 
-def write_parameters(parameters: Parameters, path: Path) -> None:
-    """Write the effective parameters as a ROS parameter file."""
-    path.write_text(yaml.safe_dump(effective(parameters), sort_keys=False))
+def node_files(parameters: Parameters) -> dict[str, Any]:
+    """The effective parameters as a ROS parameter file that holds in any namespace.
+
+    ROS has neither null nor empty lists in such files: those that are, are left to their defaults.
+    """
+    document = {}
+    for name, values in parameters.items():
+        plain = {k: v for k, v in flatten(values).items() if v is not None and v != []}
+        document[f"/**/{name}"] = {"ros__parameters": plain}
+    return document
 
 
 def _load_node(node: Node, files: Sequence[Path], overrides: Mapping[str, Any]) -> Any:

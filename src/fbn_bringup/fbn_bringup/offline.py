@@ -80,7 +80,8 @@ class Runner:
         published: list[tuple[str, Record]] = []
         for host in self.hosts:
             self._feed(host, batch)
-            for topic, record in host.advance(end_ns):
+            place = {topic: i for i, topic in enumerate(host.node.outputs)}
+            for topic, record in sorted(host.advance(end_ns), key=lambda output: place[output.topic]):
                 record = self._cdr.as_sent(record)
                 batch[topic].append(record)
                 published.append((topic, record))
@@ -127,7 +128,7 @@ def replay_offline(
 
     Raises BagError, ParameterError, or KeyError for a node in ``only`` that does not exist.
     """
-    graph = options.graph
+    graph = options.selected
     parameters = load_parameters(graph, options.parameter_files, options.overrides)
     with BagReader(bag, options.namespace) as reader:
         inputs = rundir.inputs_of(reader, graph)

@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from fbn_bringup.configuration import Parameters, effective
@@ -55,11 +56,12 @@ class ReplayOptions:
     only: tuple[str, ...] = ()  # nodes to run; () = all
     namespace: str = ""  # of the vehicle, in the bag
     extra: Mapping[str, Any] = field(default_factory=dict)  # goes into run.yaml as it is
+    graph: Graph = GRAPH
 
     @property
-    def graph(self) -> Graph:
+    def selected(self) -> Graph:
         """The nodes to run; KeyError names those there are."""
-        return GRAPH.only(self.only) if self.only else GRAPH
+        return self.graph.only(self.only) if self.only else self.graph
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +80,8 @@ class NodeSummary:
     def of(cls, host: Host) -> NodeSummary:
         health: Health = host.health()
         counts = (dict(sorted(c.items())) for c in (host.received, host.published, host.refused))
-        return cls(host.cpu_ns / NS, *counts, health.level.name, health.message, health.values)
+        values = {k: v.item() if isinstance(v, np.generic) else v for k, v in health.values.items()}
+        return cls(host.cpu_ns / NS, *counts, health.level.name, health.message, values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +213,10 @@ class Meter:
         self.begin = time.monotonic()
         self._start_ns, self._total_s = reader.start_ns, seconds(reader.end_ns - reader.start_ns)
         self._call, self._due = on_progress, 0.0
+
+    def restart(self) -> None:
+        """From here on time counts: the nodes are up."""
+        self.begin = time.monotonic()
 
     @property
     def wall_s(self) -> float:

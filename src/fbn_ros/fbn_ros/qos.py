@@ -13,16 +13,16 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
 LEASE_S = 2.0  # s: a publisher that gives no sign of life so long is gone
-LOCK_STEP_DEPTH = 10_000  # messages: nothing may be lost, and a step holds some hundreds
+LOCK_STEP_DEPTH = 2000  # messages: no node is more than a few steps behind, and a step holds some dozens
 
 
 def profile(topic: Topic, *, lock_step: bool = False, lease: bool = False) -> QoSProfile:
-    """The rclpy profile of a topic; in lock step all are reliable and deep; with ``lease``, liveliness is offered or asked."""
+    """The rclpy profile of a topic; in lock step all are reliable, deep, and kept for late joiners; with ``lease``, liveliness is offered or asked."""
     from rclpy.duration import Duration
     from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
     best_effort = topic.qos is Qos.SENSOR and not lock_step
-    latched = topic.qos is Qos.LATCHED
+    latched = topic.qos is Qos.LATCHED or lock_step
     chosen = QoSProfile(
         depth=LOCK_STEP_DEPTH if lock_step else topic.depth,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
