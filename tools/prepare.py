@@ -118,6 +118,8 @@ def find_python(underlay: str) -> str:
 def check_machine(underlay: str) -> None:
     if not underlay and (sys.platform, platform.machine()) != ("linux", "x86_64"):
         raise SetupError("ROS wheels exist for x86-64 Linux only: install ROS 2 Jazzy and source it")
+    if any(map(str.isspace, str(ROOT))):
+        raise SetupError(f"ROS's build tools fail where a path has spaces: move {ROOT}")
     if not any(map(shutil.which, ("c++", "g++", "clang++"))):
         raise SetupError("needs a C++ compiler (Debian, Ubuntu: apt install build-essential)")
 
@@ -174,7 +176,7 @@ def create_environment(requirements: Path, underlay: str) -> None:
 
 def build(changed: list[str], underlay: str) -> None:
     if changed:
-        with step(f"build of {len(changed)} packages"):
+        with step("build of " + (" ".join(changed) if len(changed) < 4 else f"{len(changed)} packages")):
             command = f"colcon build --packages-select {' '.join(changed)}"
             run("bash", "-c", f"{source(underlay or VENV)} && {command}", cwd=WORKSPACE)
 
