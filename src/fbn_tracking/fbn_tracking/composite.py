@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -24,7 +25,7 @@ from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.solver import Solution, solve, square_root_covariance
 from fbn_tracking.swept import swept_area
 from fbn_tracking.track import Look, Ping, Track, stack_poses
-from fbn_tracking.window import Window
+from fbn_tracking.window import Window, theta_curvature
 
 _FLIP_DAMPING = 0.05  # rad: a feature nearer to the other elevation than this is there
 
@@ -89,7 +90,7 @@ def _solve(window: Window, last: int, tracks: list[Track], start: gtsam.Values |
     values.insert(DRIFT, source.atPoint3(DRIFT))
     for track in tracks:
         values.insert(feature_key(track.key), source.atPoint3(feature_key(track.key)))
-    return solve(window.graph(last), values, [feature_key(t.key) for t in tracks])
+    return solve(window.graph(last, curved=False), values, partial(theta_curvature, tracks))
 
 
 def flip(values: gtsam.Values, track: Track, q: Array) -> bool:

@@ -122,7 +122,6 @@ class Tracking:
         linked = window is not None and motion.previous_ns == self._last_ns != motion.stamp_ns
         if window is not None and linked and motion.stamp_ns - self._last_ns <= gap:
             window.add_ping(next_ping(window.pings[window.last], motion))
-            self._smooth(window)
             return []
         outputs = self._close() if window is not None else []
         self._window = self._start(first_ping(motion))

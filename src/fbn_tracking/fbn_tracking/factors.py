@@ -18,7 +18,7 @@ from fbn_common.types import Array, Mat3, Vec3
 from fbn_tracking.geometry import anchored_observation, cross_matrix
 
 DRIFT: int = gtsam.symbol("b", 0)
-_UNIT = {n: gtsam.noiseModel.Unit.Create(n) for n in (1, 2, 3, 4, 6, 7)}
+_UNIT = {n: gtsam.noiseModel.Unit.Create(n) for n in (2, 4, 5, 6, 7)}
 
 
 def pose_key(index: int) -> int:
@@ -75,20 +75,32 @@ def earth_kernel(T: Array, mean: Array, W: Array) -> tuple[Array, Array]:
 
 @njit(cache=True)
 def detection_kernel(
-    T_anchor: Array, T_pose: Array, mount_anchor: Array, mount: Array, q: Vec3, z: Array
+    T_anchor: Array, T_pose: Array, mount_anchor: Array, mount: Array, q: Vec3, z: Array, curved: bool
 ) -> tuple[Array, Array, Array, Array]:
-    """Whitened residual (3) of a detection and derivatives by anchor, pose (3, 6) and feature (3, 3).
+    """Whitened residual (4) of a detection and derivatives by anchor, pose (4, 6) and feature (4, 3).
 
-    ``z`` is r, phi, their sigmas, and ``a``, ``c`` of the elevation's shape.
+    ``z`` is r, phi, their sigmas, and ``a``, ``c`` of the elevation's shape.  Rows: r, phi, u, and one whose
+    residual is always zero: where ``curved``, its derivative is ``sqrt(u u'') d theta``, the curvature of ``u^2 / 2``
+    that Gauss-Newton leaves out, without which it oscillates about the optimum.
     """
-    s, H_a, H_j, H_f = anchored_observation(T_anchor, T_pose, mount_anchor, mount, q)
-    e = np.array([(s[0] - z[0]) / z[2], (s[1] - z[1]) / z[3], z[4] * s[2] + z[5] * s[2] ** 3])
-    scale = np.array([1.0 / z[2], 1.0 / z[3], z[4] + 3.0 * z[5] * s[2] ** 2])
-    for i in range(3):
-        H_a[i] *= scale[i]
-        H_j[i] *= scale[i]
-        H_f[i] *= scale[i]
+    s, D_a, D_j, D_f = anchored_observation(T_anchor, T_pose, mount_anchor, mount, q)
+    u, slope, bend = u_row(s[2], z[4], z[5], curved)
+    e = np.array([(s[0] - z[0]) / z[2], (s[1] - z[1]) / z[3], u, 0.0])
+    scale, source = np.array([1.0 / z[2], 1.0 / z[3], slope, bend]), np.array([0, 1, 2, 2])
+    H_a, H_j, H_f = np.empty((4, 6)), np.empty((4, 6)), np.empty((4, 3))
+    for i in range(4):
+        H_a[i] = scale[i] * D_a[source[i]]
+        H_j[i] = scale[i] * D_j[source[i]]
+        H_f[i] = scale[i] * D_f[source[i]]
     return e, H_a, H_j, H_f
+
+
+@njit(cache=True)
+def u_row(theta: float, a: float, c: float, curved: bool) -> tuple[float, float, float]:
+    """``u``, ``u'`` and, where ``curved``, ``sqrt(u u'')`` of ``u = a theta + c theta^3``."""
+    u = a * theta + c * theta**3
+    bend = np.sqrt(6.0 * c * theta * u) if curved else 0.0
+    return u, a + 3.0 * c * theta**2, bend
 
 
 def link_factor(index_from: int, index_to: int, inc: Vec3, R_inc: Mat3, dt: float, W: Array) -> Any:
@@ -143,24 +155,26 @@ def gauge_factor(index: int, xy: Array) -> Any:
     return gtsam.CustomFactor(_UNIT[2], [key], error)
 
 
-def first_detection_factor(key: int, z: Array, weak_theta_sigma: float) -> Any:
+def first_detection_factor(key: int, z: Array, weak_theta_sigma: float, curved: bool) -> Any:
     """The anchor's own detection, exact in the feature's coordinates, with a loose bound on theta."""
     kf, r, phi, a, c = feature_key(key), z[0], z[1], z[4], z[5]
     scale = np.array([1.0 / z[2], 1.0 / z[3]])
 
     def error(_: Any, v: Any, H: Any) -> Array:
         f = v.atPoint3(kf)
+        u, slope, bend = u_row(f[2], a, c, curved)
         if H is not None:
-            J = np.zeros((4, 3))
-            J[0, 0], J[1, 1], J[2, 2], J[3, 2] = scale[0], scale[1], a + 3 * c * f[2] ** 2, 1.0 / weak_theta_sigma
+            J = np.zeros((5, 3))
+            J[0, 0], J[1, 1], J[2:, 2] = scale[0], scale[1], (slope, 1.0 / weak_theta_sigma, bend)
             H[0] = J
-        u = a * f[2] + c * f[2] ** 3
-        return np.array([(f[0] - r) * scale[0], (f[1] - phi) * scale[1], u, f[2] / weak_theta_sigma])
+        return np.array([(f[0] - r) * scale[0], (f[1] - phi) * scale[1], u, f[2] / weak_theta_sigma, 0.0])
 
-    return gtsam.CustomFactor(_UNIT[4], [kf], error)
+    return gtsam.CustomFactor(_UNIT[5], [kf], error)
 
 
-def detection_factor(anchor: int, index: int, key: int, mount_anchor: Array, mount: Array, z: Array) -> Any:
+def detection_factor(
+    anchor: int, index: int, key: int, mount_anchor: Array, mount: Array, z: Array, curved: bool
+) -> Any:
     """A later detection of an anchored feature, from another pose or from another array of the same ping."""
     ka, kj, kf = pose_key(anchor), pose_key(index), feature_key(key)
     same = anchor == index
@@ -168,7 +182,7 @@ def detection_factor(anchor: int, index: int, key: int, mount_anchor: Array, mou
     def error(_: Any, v: Any, H: Any) -> Array:
         T_a = v.atPose3(ka).matrix()
         T_j = T_a if same else v.atPose3(kj).matrix()
-        e, H_a, H_j, H_f = detection_kernel(T_a, T_j, mount_anchor, mount, v.atPoint3(kf), z)
+        e, H_a, H_j, H_f = detection_kernel(T_a, T_j, mount_anchor, mount, v.atPoint3(kf), z, curved)
         if H is not None:
             H[0] = H_a + H_j if same else H_a
             if not same:
@@ -176,4 +190,4 @@ def detection_factor(anchor: int, index: int, key: int, mount_anchor: Array, mou
             H[-1] = H_f
         return np.asarray(e)
 
-    return gtsam.CustomFactor(_UNIT[3], [ka, kf] if same else [ka, kj, kf], error)
+    return gtsam.CustomFactor(_UNIT[4], [ka, kf] if same else [ka, kj, kf], error)

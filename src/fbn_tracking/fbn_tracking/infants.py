@@ -94,6 +94,21 @@ def normal_equations(
 
 
 @njit(cache=True)
+def missing_curvature(q: Vec3, R: Array, p: Array, z: Array) -> float:
+    """What Gauss-Newton leaves out of the second derivative of half the energy by theta; 0 where that is negative."""
+    t, none, step = np.zeros(z.shape[0]), np.zeros((3, 3)), 0.01
+    x, E = np.zeros(5), np.empty(3)
+    known = 0.0
+    for i in range(3):
+        x[:3] = q
+        x[2] += (i - 1) * step
+        H, _, E[i], _ = normal_equations(x, R, p, t, z, np.zeros((2, 2)), np.zeros(3), none)
+        if i == 1:
+            known = H[2, 2]
+    return max(0.0, 0.5 * (E[0] - 2.0 * E[1] + E[2]) / step**2 - known)
+
+
+@njit(cache=True)
 def fit(
     q0: Vec3,
     R: Array,

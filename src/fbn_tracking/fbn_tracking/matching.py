@@ -47,12 +47,27 @@ class Joint:
 
     @classmethod
     def of(cls, window: Window, index: int, tracks: list[Track]) -> Joint:
-        """From the window's smoother, for ping ``index``; the drift comes along."""
-        anchors = dict.fromkeys([index, *(t.anchor for t in tracks)])
+        """From the window's smoother, for ping ``index``; the drift comes along.
+
+        A ping that the smoother has not taken in yet is propagated from the one before by its link.
+        """
+        fresh = not window.smoothed(index)
+        anchors = dict.fromkeys([index - fresh, *(t.anchor for t in tracks)])
         keys = [*map(pose_key, anchors), DRIFT, *(feature_key(t.key) for t in tracks)]
         sizes = [6] * len(anchors) + [3] * (1 + len(tracks))
         starts = np.concatenate(([0], np.cumsum(sizes)[:-1]))
-        return cls(window.joint(keys), {k: int(s) for k, s in zip(keys, starts, strict=True)})
+        joint = cls(window.joint(keys), {k: int(s) for k, s in zip(keys, starts, strict=True)})
+        return joint.propagated(window, index) if fresh else joint
+
+    def propagated(self, window: Window, index: int) -> Joint:
+        """With the pose of ping ``index`` appended, by its link to the one before."""
+        F, B, Q = window.transition(index)
+        n, x, b = len(self.covariance), self.offset[pose_key(index - 1)], self.offset[DRIFT]
+        M = np.vstack((np.eye(n), np.zeros((6, n))))
+        M[n:, x : x + 6], M[n:, b : b + 3] = F, B
+        covariance = M @ self.covariance @ M.T
+        covariance[n:, n:] += Q
+        return Joint(covariance, {**self.offset, pose_key(index): n})
 
     def block(self, keys: list[int], sizes: list[int]) -> Array:
         """Covariance of some of the variables, in this order."""
@@ -114,11 +129,12 @@ def match(
     known = look.detection_probability * np.maximum(existence, 1e-3)
     costs = energy + volume - 2.0 * np.log(known)[:, None]
     costs[~(energy <= gate)] = np.inf
-    rows, best = one_row_per_track(predictions, costs)
+    starts = track_starts(predictions)
+    best = np.minimum.reduceat(costs, starts, axis=0)
     new = clutter_cost(look, echoes[0], clutter)
     matches = []
     for j, i in assign(best, new).items():
-        row = rows[i][int(np.argmin(costs[rows[i], j]))]
+        row = int(starts[i] + np.argmin(costs[starts[i] : starts[i + 1] if i + 1 < len(starts) else None, j]))
         e, R = echoes[j].z[:2] - z[row, :2], echoes[j].z[2:4] ** 2
         sigma = np.sqrt(np.diag(S[row])[:2] + R)
         evidence = 0.5 * (new - nis[row, j] - volume[row, j]) + log(look.detection_probability)
@@ -126,9 +142,7 @@ def match(
     return sorted(matches, key=lambda m: m.echo)
 
 
-def one_row_per_track(predictions: list[Prediction], costs: Array) -> tuple[list[list[int]], Array]:
-    """Rows of each track (one per elevation), and the cheapest cost of each track for each echo."""
-    rows: dict[int, list[int]] = {}
-    for i, prediction in enumerate(predictions):
-        rows.setdefault(prediction.track.key, []).append(i)
-    return list(rows.values()), np.array([costs[r].min(axis=0) for r in rows.values()])
+def track_starts(predictions: list[Prediction]) -> list[int]:
+    """The first row of each track: its elevations follow one another."""
+    tracks = [p.track for p in predictions]
+    return [i for i, track in enumerate(tracks) if i == 0 or track is not tracks[i - 1]]

@@ -6,17 +6,17 @@ sea floor and the surface, or the looks that should have seen it decide (JOE 201
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
 
-from fbn_common.types import NS, Array, Mat2, Vec3
+from fbn_common.types import NS, Array, Mat2, Mat3, Vec3
 from fbn_tracking.geometry import observe
 from fbn_tracking.infants import beam_weights, fit, spread, symmetric_inverse
 from fbn_tracking.parameters import FeatureParameters
-from fbn_tracking.track import Detection, Look, Mode, Ping, Track, array_pose, stack_poses
+from fbn_tracking.track import Detection, Look, Mode, Ping, Track, array_pose
 
 _START = 0.6  # of the half lobe: where the search for either elevation begins
 _SAME = 0.02  # rad: closer optima are one
@@ -31,6 +31,19 @@ class Surroundings:
     pings: Mapping[int, Ping]
     slack: Mat2
     feature: FeatureParameters
+    arrays: dict[tuple[int, str], tuple[Mat3, Vec3]] = field(default_factory=dict)  # filled as they are asked for
+
+    def array(self, look: Look) -> tuple[Mat3, Vec3]:
+        """Rotation and position of a look's array in the world."""
+        known = self.arrays.get((look.index, look.array))
+        if known is None:
+            known = self.arrays[look.index, look.array] = array_pose(self.poses[look.index], look.mount)
+        return known
+
+    def stack(self, looks: Iterable[Look]) -> tuple[Array, Array]:
+        """Rotations (n, 3, 3) and positions (n, 3) of looks."""
+        pairs = [self.array(look) for look in looks]
+        return np.array([R for R, _ in pairs]), np.array([p for _, p in pairs])
 
 
 def find_modes(track: Track, around: Surroundings) -> list[Mode]:
@@ -47,7 +60,7 @@ def starting_points(track: Track, around: Surroundings) -> list[Vec3]:
     """Where to start the search: the memory's place, the middle for one detection, else above and below."""
     first = track.detections[0]
     if track.memory is not None:
-        R, p = array_pose(around.poses[first.index], first.look.mount)
+        R, p = around.array(first.look)
         return [observe(R, p, track.memory.point)[0]]
     if len(track.detections) == 1:
         return [np.array([first.z[0], first.z[1], 0.0])]
@@ -64,7 +77,7 @@ def half_lobe(detection: Detection) -> float:
 def evaluate(track: Track, q: Vec3, around: Surroundings) -> Mode:
     """The optimum near ``q`` with its covariance and cost."""
     detections = track.detections
-    R, p = stack_poses((d.look for d in detections), around.poses)
+    R, p = around.stack(d.look for d in detections)
     t = np.array([(d.stamp_ns - detections[0].stamp_ns) / NS for d in detections])
     z = widened(detections, around)
     memory, information = np.zeros(3), np.zeros((3, 3))
@@ -97,7 +110,7 @@ def misses_cost(misses: list[Look], point: Vec3, around: Surroundings) -> float:
     looks = [look for look in misses if look.index in around.poses]
     if not looks:
         return 0.0
-    R, p = stack_poses(looks, around.poses)
+    R, p = around.stack(looks)
     weights = beam_weights(point, R, p, np.array([look.limits for look in looks]))
     chance = np.array([look.detection_probability for look in looks])
     return -float(np.log1p(-chance * weights).sum())
@@ -107,7 +120,7 @@ def place_cost(point: Vec3, variance: float, track: Track, around: Surroundings)
     """Minus log prior of the height: nothing lies under the floor or over the surface; most lies below the array."""
     index, par = track.detections[0].index, around.feature
     pose, ping = around.poses[index], around.pings[index]
-    _, at = array_pose(pose, track.detections[0].look.mount)
+    _, at = around.array(track.detections[0].look)
     cost = np.log(par.below_odds) if point[2] > at[2] else 0.0
     over = max(0.0, point[2])
     cost += 0.5 * over**2 / (par.surface_margin**2 + variance)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import gtsam
@@ -10,9 +11,14 @@ from scipy.linalg import solve_triangular
 
 from fbn_common.types import Array
 
-_ITERATIONS = 25
-_CONVERGED = 1e-9  # of the energy
+_ITERATIONS = 30
+_CONVERGED = 1e-8  # of the energy
+_MOST_DAMPING = 1e8
 _THETA = gtsam.noiseModel.Unit.Create(3)
+
+
+Curvature = Callable[[gtsam.Values], dict[int, float]]
+"""What Gauss-Newton leaves out of the second derivative of the energy by each feature's theta, never negative."""
 
 
 class Solution(NamedTuple):
@@ -23,36 +29,36 @@ class Solution(NamedTuple):
     energy: float
 
 
-def solve(graph: Any, values: gtsam.Values, features: list[int]) -> Solution:
-    """Gauss-Newton that damps theta alone, the one direction in which the model is far from linear.
+def solve(graph: Any, values: gtsam.Values, curvature: Curvature) -> Solution:
+    """Gauss-Newton with theta's missing curvature put back, and damped where the energy rises all the same.
 
-    Raises RuntimeError where the system is indeterminate.
+    Theta is the one direction far from linear: ``u`` is cubic in it, and ranges are even functions of it, so that
+    residuals bend the energy as much as slopes do.  Raises RuntimeError where the system is indeterminate.
     """
-    damping, energy = 1e-2 if features else 0.0, float(graph.error(values))
-    linear = graph.linearize(values)
+    damping, energy, linear = 0.0, float(graph.error(values)), graph.linearize(values)
+    missing = curvature(values)
     for _ in range(_ITERATIONS):
-        candidate = values.retract(_damped(linear, features, damping).optimize())
+        candidate = values.retract(_curved(linear, missing, damping).optimize())
         value = float(graph.error(candidate))
-        if not np.isfinite(value) or value > energy + _CONVERGED * (1.0 + energy):
-            if damping > 1e9 or not features:
+        if not value <= energy + _CONVERGED * (1.0 + energy):
+            damping = max(damping * 10.0, 10.0)
+            if damping > _MOST_DAMPING or not missing:
                 break
-            damping = max(damping * 8.0, 1e-2)
             continue
         done = energy - value < _CONVERGED * (1.0 + value)
-        values, energy, damping = candidate, value, damping * 0.1
-        linear = graph.linearize(values)
+        values, energy, damping = candidate, value, damping * 0.1 if damping > 1.0 else 0.0
+        linear, missing = graph.linearize(values), curvature(values)
         if done:
             break
     return Solution(values, linear, energy)
 
 
-def _damped(linear: Any, features: list[int], damping: float) -> Any:
-    if damping < 1e-9:
-        return linear
-    damped, root = linear.clone(), np.diag([0.0, 0.0, damping**0.5])
-    for key in features:
-        damped.add(key, root, np.zeros(3), _THETA)
-    return damped
+def _curved(linear: Any, missing: dict[int, float], damping: float) -> Any:
+    curved = linear.clone()
+    for key, weight in missing.items():
+        if weight + damping > 0.0:
+            curved.add(key, np.diag([0.0, 0.0, (weight + damping) ** 0.5]), np.zeros(3), _THETA)
+    return curved
 
 
 def square_root_covariance(linear: Any, keys: list[int]) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from math import exp
 
 import gtsam
 import numpy as np
@@ -112,7 +113,7 @@ class Track:
     @property
     def existence(self) -> float:
         """Probability that there is something."""
-        return 1.0 / (1.0 + float(np.exp(-np.clip(self.score, -50.0, 50.0))))
+        return 1.0 / (1.0 + exp(-min(max(self.score, -50.0), 50.0)))
 
 
 def make_look(message: SonarDetections, index: int, array: SonarArray, feature: FeatureParameters) -> Look:

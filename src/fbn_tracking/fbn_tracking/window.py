@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import gtsam
@@ -16,8 +17,9 @@ import numpy as np
 from fbn_common.types import Array, Vec3
 from fbn_tracking import factors
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
+from fbn_tracking.infants import missing_curvature
 from fbn_tracking.solver import solve
-from fbn_tracking.track import Detection, Ping, Track
+from fbn_tracking.track import Detection, Ping, Track, array_pose
 
 _SETTLE = 4  # updates at most until nothing is re-linearised any more
 
@@ -90,12 +92,12 @@ class Window:
         self.features[track.key] = track
         self._introduce(feature_key(track.key), q)
         for detection in track.detections:
-            self._new_factors.add(detection_factor(track, detection, self.weak_theta_sigma))
+            self._new_factors.add(detection_factor(track, detection, self.weak_theta_sigma, True))
 
     def add_detection(self, track: Track, detection: Detection) -> None:
         """One more detection of a feature of this window."""
         track.detections.append(detection)
-        self._new_factors.add(detection_factor(track, detection, self.weak_theta_sigma))
+        self._new_factors.add(detection_factor(track, detection, self.weak_theta_sigma, True))
 
     def update(self) -> None:
         """Smooth; a numerical failure rebuilds the window from its records, and is counted."""
@@ -110,6 +112,19 @@ class Window:
             self._recover()
         self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
 
+    def smoothed(self, index: int) -> bool:
+        """Whether the smoother has taken in this ping."""
+        return self._isam is not None and not self._new_values.exists(pose_key(index))
+
+    def transition(self, index: int) -> tuple[Array, Array, Array]:
+        """How a pose follows from the one before and the drift: Jacobians (6, 6), (6, 3), noise (6, 6)."""
+        ping, before, here = self.pings[index], self.pose(index - 1).matrix(), self.pose(index).matrix()
+        _, H1, H2, Hb = factors.link_kernel(
+            before, here, self.drift(), ping.increment, ping.R_increment, ping.dt, ping.link_whitener
+        )
+        inverse = np.linalg.inv(H2)
+        return -inverse @ H1, -inverse @ Hb, inverse @ inverse.T
+
     def joint(self, keys: list[int]) -> Array:
         """Joint covariance of some variables, in their order (poses 6 in gtsam's tangent, others 3)."""
         if self._isam is None:
@@ -119,9 +134,9 @@ class Window:
             raise RuntimeError("joint marginal is not finite")
         return covariance
 
-    def graph(self, last: int) -> Any:
+    def graph(self, last: int, curved: bool = True) -> Any:
         """All factors of pings and detections up to ping ``last``, from the records."""
-        return build_graph(self.base, self.pings.values(), self.features.values(), last, self.weak_theta_sigma)
+        return build_graph(self.base, self.pings.values(), self.features.values(), last, self.weak_theta_sigma, curved)
 
     def _introduce(self, key: int, value: Any) -> None:
         self.values.insert(key, value)
@@ -141,10 +156,10 @@ class Window:
         self.values = values
 
     def _rebuild(self) -> None:
-        graph = self.graph(self.last)
-        start = solve(graph, self.values, [feature_key(k) for k in self.features]).values
+        plain = self.graph(self.last, curved=False)
+        start = solve(plain, self.values, partial(theta_curvature, list(self.features.values()))).values
         self._isam = new_isam()
-        self._settle(self._isam.update(graph, start))
+        self._settle(self._isam.update(self.graph(self.last), start))
 
     def _recover(self) -> None:
         """Build anew; if even that fails, go on with the motion alone, which cannot fail."""
@@ -202,17 +217,33 @@ def earth_factors(ping: Ping) -> list[Any]:
     return [factors.earth_factor(ping.index, ping.earth_mean, ping.earth_whitener)] if ping.earth_whitener.any() else []
 
 
-def detection_factor(track: Track, detection: Detection, weak_theta_sigma: float) -> Any:
+def detection_factor(track: Track, detection: Detection, weak_theta_sigma: float, curved: bool) -> Any:
     """The factor of one of a track's detections."""
     first = track.detections[0]
     if detection is first:
-        return factors.first_detection_factor(track.key, detection.z, weak_theta_sigma)
+        return factors.first_detection_factor(track.key, detection.z, weak_theta_sigma, curved)
     return factors.detection_factor(
-        first.index, detection.index, track.key, first.look.mount, detection.look.mount, detection.z
+        first.index, detection.index, track.key, first.look.mount, detection.look.mount, detection.z, curved
     )
 
 
-def build_graph(base: Base, pings: Iterable[Ping], tracks: Iterable[Track], last: int, weak_theta_sigma: float) -> Any:
+def theta_curvature(tracks: list[Track], values: gtsam.Values) -> dict[int, float]:
+    """By feature: second derivative of the energy by theta, poses fixed, less what Gauss-Newton has of it."""
+    missing, arrays = {}, {}
+    for track in tracks:
+        looks = [d.look for d in track.detections]
+        for look in looks:
+            if (look.index, look.array) not in arrays:
+                arrays[look.index, look.array] = array_pose(values.atPose3(pose_key(look.index)), look.mount)
+        R, p = (np.array([arrays[look.index, look.array][i] for look in looks]) for i in (0, 1))
+        q, z = values.atPoint3(feature_key(track.key)), np.array([d.z for d in track.detections])
+        missing[feature_key(track.key)] = missing_curvature(q, R, p, z)
+    return missing
+
+
+def build_graph(
+    base: Base, pings: Iterable[Ping], tracks: Iterable[Track], last: int, weak_theta_sigma: float, curved: bool
+) -> Any:
     """The graph of a window up to ping ``last``: gauge, prior at the base, links, earth, detections."""
     graph = gtsam.NonlinearFactorGraph()
     chain = [ping for ping in pings if ping.index <= last]
@@ -227,5 +258,5 @@ def build_graph(base: Base, pings: Iterable[Ping], tracks: Iterable[Track], last
     for track in tracks:
         for detection in track.detections:
             if detection.index <= last:
-                graph.add(detection_factor(track, detection, weak_theta_sigma))
+                graph.add(detection_factor(track, detection, weak_theta_sigma, curved))
     return graph
