@@ -135,21 +135,28 @@ def elevation(sea: SeaTable, t: float, position: Vec3) -> float:
 
 @njit(cache=True)
 def orbital(sea: SeaTable, t: float, position: Vec3) -> tuple[Vec3, Vec3]:
-    """Velocity [m/s] and acceleration [m/s^2] of the water by waves (linear theory, finite depth; map axes)."""
-    velocity, acceleration = np.zeros(3), np.zeros(3)
+    """Velocity [m/s] and acceleration [m/s^2] of the water by waves (linear theory, finite depth; map axes).
+
+    The acceleration is that of a particle: without its convective part a floating body would be drawn down.
+    """
+    velocity, acceleration, gradient = np.zeros(3), np.zeros(3), np.zeros((3, 3))
     z = min(position[2], 0.0)
     for w in range(sea.waves.shape[0]):
         amplitude, omega, k, direction, phase = sea.waves[w]
-        cx, cy = np.cos(direction), np.sin(direction)
-        angle = k * (position[0] * cx + position[1] * cy) - omega * t + phase
+        angle = k * (position[0] * np.cos(direction) + position[1] * np.sin(direction)) - omega * t + phase
         bed = np.exp(-2.0 * k * (z + sea.depth))  # cosh and sinh, kept from overflowing in deep water
         scale = amplitude * omega * np.exp(k * z) / (1.0 - np.exp(-2.0 * k * sea.depth))
         along, up = scale * (1.0 + bed), scale * (1.0 - bed)
         c, s = np.cos(angle), np.sin(angle)
-        velocity[0] += along * c * cx
-        velocity[1] += along * c * cy
+        heading = np.array([np.cos(direction), np.sin(direction)])
         velocity[2] += up * s
-        acceleration[0] += omega * along * s * cx
-        acceleration[1] += omega * along * s * cy
         acceleration[2] -= omega * up * c
-    return velocity, acceleration
+        gradient[2, 2] += k * along * s
+        for i in range(2):
+            velocity[i] += along * c * heading[i]
+            acceleration[i] += omega * along * s * heading[i]
+            gradient[i, 2] += k * up * c * heading[i]
+            gradient[2, i] += k * up * c * heading[i]
+            for j in range(2):
+                gradient[i, j] -= k * along * s * heading[i] * heading[j]
+    return velocity, acceleration + gradient @ velocity

@@ -34,7 +34,7 @@ class Compass:
     tilt_noise: float = param(0.0044, "rad", "white noise of roll and pitch", "0.25 deg")
     tilt_time_constant: float = param(0.5, "s", "of the low-pass behind the accelerometers", "assumed")
     magnetic_dip: float = param(1.18, "rad", "inclination of the earth's field: tilt errors leak into yaw", "68 deg, Boston")
-    stated_yaw_sigma: float = param(0.035, "rad", "standard deviation published for yaw: of the total error", "2 deg")
+    stated_yaw_sigma: float = param(0.026, "rad", "standard deviation published for yaw: of the total error", "1.5 deg")
     stated_tilt_sigma: float = param(0.0105, "rad", "the same for roll and pitch", "0.6 deg")
 
 
