@@ -38,7 +38,9 @@ def parameter_file(chosen: dict[str, list[Description]]) -> str:
         for d in items:
             value = yaml.safe_dump(plain(d)["default"], default_flow_style=True).strip().removesuffix("\n...")
             switched_off = "# " if "<name>" in d.name or d.default in ("required", None) else ""
-            lines += textwrap.wrap(f"{d.about} [{d.unit}]; {d.origin}", 108, initial_indent="    # ", subsequent_indent="    #   ")
+            lines += textwrap.wrap(
+                f"{d.about} [{d.unit}]; {d.origin}", 108, initial_indent="    # ", subsequent_indent="    #   "
+            )
             lines += [f"    {switched_off}{d.name}: {value}"]
     return "\n".join(lines) + "\n"
 
@@ -46,10 +48,23 @@ def parameter_file(chosen: dict[str, list[Description]]) -> str:
 def parameter_page() -> str:
     """docs/parameters.md."""
     lines = ["# Parameters", "", "Generated from the parameter classes by `fbn docs`; do not edit.", ""]
-    lines += ["`fbn params NODE --yaml` writes a file to start from. A name with `<name>` stands for one group per name.", ""]
+    lines += [
+        "`fbn params NODE --yaml` writes a file to start from. A name with `<name>` stands for one group per name.",
+        "",
+    ]
     for node, items in parameters().items():
-        lines += [f"## {node}", "", GRAPH.node(node).about + ".", "", "| name | default | unit | what | origin |", "| --- | --- | --- | --- | --- |"]
-        lines += [f"| `{d.name}` | {_cell(_short(d.default))} | {_cell(d.unit)} | {_cell(d.about)} | {_cell(d.origin)} |" for d in items]
+        lines += [
+            f"## {node}",
+            "",
+            GRAPH.node(node).about + ".",
+            "",
+            "| name | default | unit | what | origin |",
+            "| --- | --- | --- | --- | --- |",
+        ]
+        lines += [
+            f"| `{d.name}` | {_cell(_short(d.default))} | {_cell(d.unit)} | {_cell(d.about)} | {_cell(d.origin)} |"
+            for d in items
+        ]
         lines += [""]
     return "\n".join(lines)
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fbn_bringup.commands import campaign, check, demo, docs, evaluate, params, replay, report, run, sim
+from fbn_bringup.commands import campaign, check, demo, docs, evaluate, importing, params, replay, report, run, sim
 
 HELP = """Feature-based navigation for small AUVs: from sonar detections to "here on the map".
 
@@ -36,6 +36,7 @@ app = typer.Typer(
 
 app.command("demo", rich_help_panel="Start here", help=reflowed(demo.HELP))(demo.demo)
 app.command("check", rich_help_panel="Start here", help=reflowed(check.HELP))(check.check)
+app.add_typer(importing.app, name="import", rich_help_panel="Start here", help=importing.HELP)
 app.command("replay", rich_help_panel="Navigate", help=reflowed(replay.HELP))(replay.replay)
 app.command("run", rich_help_panel="Navigate", help=reflowed(run.HELP))(run.run)
 app.command("evaluate", rich_help_panel="Examine", help=reflowed(evaluate.HELP))(evaluate.evaluate)

@@ -56,7 +56,9 @@ def _way(i: int, j: int) -> str:
     colour, tip, dash = (FORWARD, "tip", "") if j > i else (BACK, "back", ' stroke-dasharray="5 3"')
     start = f"M{x0 + side * BOX_W / 2:g} {y0:g}"
     leaves = j > len(GRAPH.nodes)
-    way, marker = (f"H{x1:g}", "") if leaves else (f"H{x1:g} V{y1 - side * (BOX_H / 2 + 2):g}", f' marker-end="url(#{tip})"')
+    way, marker = (
+        (f"H{x1:g}", "") if leaves else (f"H{x1:g} V{y1 - side * (BOX_H / 2 + 2):g}", f' marker-end="url(#{tip})"')
+    )
     return f'<path d="{start} {way}" fill="none" stroke="{colour}" stroke-opacity="0.55" stroke-width="1.3"{dash}{marker}/>'
 
 

@@ -10,7 +10,11 @@ from fbn_bringup.dataflow import dataflow
 
 def pages() -> dict[str, str]:
     """Every generated file, by its path under docs/."""
-    return {"topics.md": catalogue.topic_page(), "parameters.md": catalogue.parameter_page(), "images/dataflow.svg": dataflow()}
+    return {
+        "topics.md": catalogue.topic_page(),
+        "parameters.md": catalogue.parameter_page(),
+        "images/dataflow.svg": dataflow(),
+    }
 
 
 def stale(root: Path) -> list[str]:

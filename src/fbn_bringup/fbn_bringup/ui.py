@@ -61,7 +61,9 @@ def known_error(error: BaseException) -> str | None:
     """The text for errors that tell the user enough; None for defects, which deserve their traceback."""
     if os.environ.get("FBN_DEBUG"):
         return None
-    if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError | NotADirectoryError | FileExistsError):
+    if isinstance(
+        error, FileNotFoundError | PermissionError | IsADirectoryError | NotADirectoryError | FileExistsError
+    ):
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.errno == 28:
         return "no space left on the disk; free some, or choose another place with -o"

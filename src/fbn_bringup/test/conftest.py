@@ -131,7 +131,8 @@ def _tracking(s: Story, t: float, stamp: int, say) -> None:
     seen = [f for f in s.features() if f.id // 4 == d and f.position[0] <= s.position(t)[0] + 16.0]
     odom = t * np.array([*s.drift, 0.0])
     tracked = tuple(
-        r.TrackedFeature(f.id, r.Stage.FEATURE, 9, stamp - 9 * NS, stamp, f.position + odom, 0.04 * np.eye(3)) for f in seen
+        r.TrackedFeature(f.id, r.Stage.FEATURE, 9, stamp - 9 * NS, stamp, f.position + odom, 0.04 * np.eye(3))
+        for f in seen
     )
     say("tracking/features", r.TrackedFeatures(stamp, "odom", int(t), tracked))
     say("tracking/composite", _composite(stamp, [f.id for f in seen]))
@@ -157,7 +158,9 @@ def _global(s: Story, t: float, stamp: int, keys: list[int], say) -> None:
 
 
 def _map(s: Story, stamp: int, shift: Array) -> r.FeatureMap:
-    features = tuple(r.MapFeature(f.map_id, f"r{f.id}", True, 0.98, 0.67, f.target, f.position + shift) for f in s.features())
+    features = tuple(
+        r.MapFeature(f.map_id, f"r{f.id}", True, 0.98, 0.67, f.target, f.position + shift) for f in s.features()
+    )
     covariance = np.kron(np.eye(len(features)) * 4.0 + 21.0, np.eye(3))
     return r.FeatureMap(stamp, "map", *DATUM, features, covariance)
 
@@ -173,4 +176,6 @@ def _composite(stamp: int, keys: list[int]) -> r.CompositeMeasurement:
 
 def _odometry(stamp: int, frame: str, position: Array, variance: float) -> r.Odometry:
     covariance = np.diag([variance, variance, 0.0025, 1e-4, 1e-4, 1e-3])
-    return r.Odometry(stamp, frame, "base_link", r.Pose(position, LEVEL), np.array([0.8, 0, 0, 0, 0, 0]), covariance, np.eye(6))
+    return r.Odometry(
+        stamp, frame, "base_link", r.Pose(position, LEVEL), np.array([0.8, 0, 0, 0, 0, 0]), covariance, np.eye(6)
+    )

@@ -33,7 +33,9 @@ def test_one_wrong_pair_among_four_is_counted_but_does_not_make_the_match_false(
 def test_identity_does_not_depend_on_dead_reckonings_drift(story, tell, truth_of):
     s = story(drift=(0.2, -0.3))  # 200 m by the end
     run = collect(tell(s), truth=truth_of(s))
-    found = identities(run.of("tracking/features", TrackedFeatures), run.tracks["deadreck/odometry"], run.true_track, run.truth)
+    found = identities(
+        run.of("tracking/features", TrackedFeatures), run.tracks["deadreck/odometry"], run.true_track, run.truth
+    )
     assert found == {key: key for key in range(12)}
 
 

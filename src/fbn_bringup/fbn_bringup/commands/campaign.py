@@ -24,7 +24,9 @@ Examples:
 def campaign(
     scenario: Annotated[str, typer.Argument(help="A scenario's name or file.")],
     seeds: Annotated[str, typer.Option(metavar="A:B", help="From A up to, not including, B.")] = "0:20",
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: out/campaign_SCENARIO.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: out/campaign_SCENARIO.")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
     params: o.Params = None,
     settings: o.Set = None,
@@ -35,7 +37,9 @@ def campaign(
     numbers = _range(seeds)
     plan = c.Plan(scenario, tuple(params or ()), tuple(settings or ()))
     with ui.progress(f"{scenario}: {len(numbers)} seeds") as advance:
-        rows = c.run_campaign(plan, numbers, jobs, lambda done: advance(done / len(numbers), f"{done} of {len(numbers)}"))
+        rows = c.run_campaign(
+            plan, numbers, jobs, lambda done: advance(done / len(numbers), f"{done} of {len(numbers)}")
+        )
     target = output or Path("out") / f"campaign_{Path(scenario).stem}"
     written = c.write(target, plan, rows)
     ui.out.print(c.summary_table(plan, rows), "")

@@ -35,7 +35,9 @@ def demo(
     bag = sample_log()
     if seed is not None:
         with ui.progress(f"simulating seed {seed}") as advance:
-            bag = simulation.simulate_to_bag(BAG.rpartition("/")[2], output.with_name(f"{output.name}_log"), seed, advance)
+            bag = simulation.simulate_to_bag(
+                BAG.rpartition("/")[2], output.with_name(f"{output.name}_log"), seed, advance
+            )
     run_replay(bag, output, replay_options(bag, None, None, None, "", ""), offline=offline)
     with ui.progress("reading the run") as advance:
         run = load_run(output, None, advance)
@@ -56,4 +58,6 @@ def sample_log() -> Path:
     for root in (Path.cwd(), project_root()):
         if root is not None and (root / BAG).is_dir():
             return root / BAG
-    ui.fail(f"{BAG} is not here; run this in the project's directory, or make the log: fbn sim charles_river_2006 -o {BAG}")
+    ui.fail(
+        f"{BAG} is not here; run this in the project's directory, or make the log: fbn sim charles_river_2006 -o {BAG}"
+    )

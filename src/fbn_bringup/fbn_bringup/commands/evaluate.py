@@ -23,7 +23,9 @@ Examples:
 
 def evaluate(
     run: Annotated[Path, typer.Argument(help="A run directory, or a bag with the nodes' output.")],
-    truth: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: truth.yaml beside the run or its log.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Default: truth.yaml beside the run or its log.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     from fbn_bringup import ui

@@ -24,7 +24,10 @@ Map = Annotated[
 ]
 Namespace = Annotated[str, typer.Option("--namespace", metavar="NAME", help="Prefix of the topics, e.g. ranger.")]
 Only = Annotated[
-    str, typer.Option("--only", metavar="NODES", help="Only these nodes, e.g. tracking,global; the rest comes from the log.")
+    str,
+    typer.Option(
+        "--only", metavar="NODES", help="Only these nodes, e.g. tracking,global; the rest comes from the log."
+    ),
 ]
 PARAMETERS = "parameters.yaml"  # beside a bag: the vehicle's parameters
 

@@ -50,5 +50,11 @@ def _print(chosen: dict[str, list]) -> None:  # type: ignore[type-arg]
             table = ui.table(node, "name", "default", "unit", "what", "origin", left=5)
             table.columns[1].justify = "right"
             for d in items:
-                table.add_row(d.name, ui.escape(str(d.default)), ui.escape(d.unit), ui.escape(d.about), f"[dim]{ui.escape(d.origin)}[/]")
+                table.add_row(
+                    d.name,
+                    ui.escape(str(d.default)),
+                    ui.escape(d.unit),
+                    ui.escape(d.about),
+                    f"[dim]{ui.escape(d.origin)}[/]",
+                )
             ui.out.print(table, "")

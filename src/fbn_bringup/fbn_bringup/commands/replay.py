@@ -25,7 +25,9 @@ Examples:
 
 def replay(
     bag: Annotated[Path, typer.Argument(help="A rosbag2 directory (mcap or sqlite3).")],
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="RUN", help="Default: out/<name of the bag>.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="RUN", help="Default: out/<name of the bag>.")
+    ] = None,
     rate: Annotated[float | None, typer.Option(help="Times real time instead of lock step.", min=0.01)] = None,
     offline: Annotated[bool, typer.Option("--offline", help="In one process, without DDS.")] = False,
     only: o.Only = "",

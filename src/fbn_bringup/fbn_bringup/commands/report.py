@@ -22,7 +22,9 @@ Examples:
 def report(
     run: Annotated[Path, typer.Argument(help="A run directory, or a bag with the nodes' output.")],
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: RUN/report.")] = None,
-    truth: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: truth.yaml beside the run or its log.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Default: truth.yaml beside the run or its log.")
+    ] = None,
     png: Annotated[bool, typer.Option("--png/--no-png", help="PNGs beside the HTML.")] = True,
 ) -> None:
     from fbn_bringup import ui

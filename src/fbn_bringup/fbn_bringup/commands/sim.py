@@ -22,7 +22,9 @@ Examples:
 
 def sim(
     scenario: Annotated[str, typer.Argument(help="A name from the list, or a scenario file.")] = "",
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="BAG", help="Default: out/SCENARIO_SEED.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="BAG", help="Default: out/SCENARIO_SEED.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all randomness; default: the scenario's own.")] = None,
 ) -> None:
     from fbn_bringup import simulation, ui

@@ -96,9 +96,7 @@ class MapShift:
         return np.asarray(self.shift[np.clip(before, 0, len(self.shift) - 1)])
 
 
-def map_shift(
-    maps: Sequence[FeatureMap], hypotheses: Sequence[MatchHypotheses], truth: Truth
-) -> MapShift | None:
+def map_shift(maps: Sequence[FeatureMap], hypotheses: Sequence[MatchHypotheses], truth: Truth) -> MapShift | None:
     """Shift of the matched features (all prior ones as long as none is matched); None where it cannot be known."""
     true, stamps, shifts, counts = truth.on_map(), [], [], []
     for m in maps:

@@ -241,5 +241,3 @@ def _covers(track: Track, stamp_ns: int) -> bool:
 def _target_nees(run: Run) -> c.Consistency | None:
     _, errors, covariances = target_errors(run)
     return c.consistency("target from the vehicle", c.nees(errors, covariances), 3) if len(errors) else None
-
-

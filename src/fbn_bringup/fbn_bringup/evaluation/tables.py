@@ -104,7 +104,13 @@ def surfacing_table(result: Evaluation) -> Table:
     """GPS against dead reckoning."""
     t = table("GPS against dead reckoning at each surfacing", "leg", "discrepancy", "GPS sigma", "way", "of distance")
     for s in result.surfacings:
-        t.add_row(str(s.leg), number(s.discrepancy, 1, " m"), number(s.sigma, 1, " m"), number(s.distance, 0, " m"), number(s.percent, 1, " %"))
+        t.add_row(
+            str(s.leg),
+            number(s.discrepancy, 1, " m"),
+            number(s.sigma, 1, " m"),
+            number(s.distance, 0, " m"),
+            number(s.percent, 1, " %"),
+        )
     return t
 
 
@@ -119,13 +125,32 @@ def nees_table(result: Evaluation) -> Table:
 
 def sensor_table(result: Evaluation) -> Table:
     """Verdicts and NIS per sensor and estimator."""
-    t = table("Consistency: NIS per sensor", "estimator", "sensor", "used", "gated", "refused", "late", "NIS / dof", "95 % band", "why not used", left=2)
+    t = table(
+        "Consistency: NIS per sensor",
+        "estimator",
+        "sensor",
+        "used",
+        "gated",
+        "refused",
+        "late",
+        "NIS / dof",
+        "95 % band",
+        "why not used",
+        left=2,
+    )
     t.columns[-1].justify = "left"
     for s in sorted(result.sensors, key=lambda s: (s.node, s.sensor)):
         v, n = s.verdicts, s.nis
         band = f"{n.low:.2f}–{n.high:.2f}" if n else "–"
         why = "; ".join(f"{reason} ({count})" for reason, count in list(s.reasons.items())[:3])
-        t.add_row(s.node, s.sensor, *(str(v[k]) for k in ("USED", "GATED", "REFUSED", "LATE")), _ratio(n.ratio) if n else "–", band, why)
+        t.add_row(
+            s.node,
+            s.sensor,
+            *(str(v[k]) for k in ("USED", "GATED", "REFUSED", "LATE")),
+            _ratio(n.ratio) if n else "–",
+            band,
+            why,
+        )
     return t
 
 
@@ -136,7 +161,14 @@ def traffic_table(run: Run) -> Table:
         if topic in run.traffic and not topic.endswith("/innovations"):
             x = run.traffic[topic]
             median, late = (float(np.quantile(x.latency, q)) * 1e3 for q in (0.5, 0.95))
-            t.add_row(topic, str(len(x.log_ns)), number(x.rate, 2, " Hz"), number(x.longest_gap(), 1, " s"), number(median, 0, " ms"), number(late, 0, " ms"))
+            t.add_row(
+                topic,
+                str(len(x.log_ns)),
+                number(x.rate, 2, " Hz"),
+                number(x.longest_gap(), 1, " s"),
+                number(median, 0, " ms"),
+                number(late, 0, " ms"),
+            )
     t.caption = "in lock step an output's latency is in log time: data are handled in steps"
     return t
 

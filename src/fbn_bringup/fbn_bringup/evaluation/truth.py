@@ -65,6 +65,18 @@ def load(path: Path) -> Truth:
         raise TruthError(f"{path}: not a truth file of the simulator ({type(error).__name__}: {error})") from error
 
 
+def save(truth: Truth, path: Path) -> None:
+    """Write a truth file, to the millimetre."""
+    latitude, longitude, height = truth.datum
+    features = [
+        {"id": f.id, "map_id": f.map_id, "target": f.target, "position": [round(float(x), 3) for x in f.position]}
+        for f in truth.features
+    ]
+    about = "# The true features [m, east, north, up at the datum]; map_id: the same on the prior map, null if it lacks it.\n"
+    document = {"datum": {"latitude": latitude, "longitude": longitude, "height": height}, "features": features}
+    path.write_text(about + yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
+
+
 def _feature(entry: dict[str, Any]) -> TrueFeature:
     position = np.array(entry["position"], dtype=float)
     if position.shape != (3,) or not np.isfinite(position).all():

@@ -73,11 +73,18 @@ def map_figure(run: Run, tracks: ErrorTracks) -> go.Figure:
 
 
 def _path(track: Track, look: st.Look, run: Run) -> go.Scatter:
-    text = [f"{m:.1f} min, depth {-z:.1f} m" for m, z in zip(ly.minutes(run, track.stamp_ns), track.position[:, 2], strict=True)]
-    return line(track.position[:, 0], track.position[:, 1], look, text=text, hovertemplate="%{x:.1f}, %{y:.1f} m<br>%{text}")
+    text = [
+        f"{m:.1f} min, depth {-z:.1f} m"
+        for m, z in zip(ly.minutes(run, track.stamp_ns), track.position[:, 2], strict=True)
+    ]
+    return line(
+        track.position[:, 0], track.position[:, 1], look, text=text, hovertemplate="%{x:.1f}, %{y:.1f} m<br>%{text}"
+    )
 
 
-def markers(xy: Array, look: st.Look, symbol: str, size: float, labels: tuple[str, ...] = (), **more: Any) -> go.Scatter:
+def markers(
+    xy: Array, look: st.Look, symbol: str, size: float, labels: tuple[str, ...] = (), **more: Any
+) -> go.Scatter:
     marker = dict(symbol=symbol, size=size, color=look.colour, line=dict(color=look.colour, width=1.6))
     return go.Scatter(
         x=rounded(xy[:, 0]), y=rounded(xy[:, 1]), mode="markers", marker=marker, name=look.name, legendgroup=look.name,
@@ -102,7 +109,9 @@ def _add_features(figure: go.Figure, layers: ly.MapLayers) -> None:
         figure.add_trace(_outlines(layers.estimated.ellipses(), st.ESTIMATED, 0.18))
         figure.add_trace(markers(layers.estimated.xy, st.ESTIMATED, "circle", 6, layers.estimated.labels))
     if layers.true_features is not None:
-        figure.add_trace(markers(layers.true_features.xy, st.TRUE_FEATURE, "circle-open", 11, layers.true_features.labels))
+        figure.add_trace(
+            markers(layers.true_features.xy, st.TRUE_FEATURE, "circle-open", 11, layers.true_features.labels)
+        )
     if layers.target is not None and len(layers.target.xy):
         figure.add_trace(markers(layers.target.xy, st.TARGET, "star", 13, layers.target.labels))
 
@@ -114,7 +123,9 @@ def _add_pose_ellipses(figure: go.Figure, layers: ly.MapLayers, each: int = 30) 
             some = layers.paths[topic].where(np.arange(0, len(layers.paths[topic]), each))
             outlines = [ly.ellipse(p[:2], c[:2, :2]) for p, c in zip(some.position, some.covariance, strict=True)]
             name = f"1σ of {st.LOOKS[topic].name.partition(' ')[0]}"
-            figure.add_trace(_outlines(outlines, st.Look(name, st.LOOKS[topic].colour), 0.06, showlegend=True, visible=visible))
+            figure.add_trace(
+                _outlines(outlines, st.Look(name, st.LOOKS[topic].colour), 0.06, showlegend=True, visible=visible)
+            )
 
 
 def _map_buttons(figure: go.Figure) -> dict[str, Any]:
@@ -132,7 +143,16 @@ def _map_buttons(figure: go.Figure) -> dict[str, Any]:
         view("without the map", [name not in without or "legendonly" for name in names]),
         view("on the map", [name in on_map or "legendonly" for name in names]),
     ]
-    return dict(type="buttons", direction="right", x=0, y=1.06, xanchor="left", yanchor="bottom", buttons=buttons, showactive=True)
+    return dict(
+        type="buttons",
+        direction="right",
+        x=0,
+        y=1.06,
+        xanchor="left",
+        yanchor="bottom",
+        buttons=buttons,
+        showactive=True,
+    )
 
 
 # --- over time -------------------------------------------------------------------------------------------
@@ -154,7 +174,9 @@ def error_figure(run: Run, tracks: ErrorTracks) -> go.Figure | None:
         return None
     rows = (len(bands) + 1) // 2
     titles = [f"{b.title} [{b.unit}]" for b in bands]
-    figure = make_subplots(rows, 2, subplot_titles=titles, shared_xaxes=True, vertical_spacing=0.26 / rows, horizontal_spacing=0.07)
+    figure = make_subplots(
+        rows, 2, subplot_titles=titles, shared_xaxes=True, vertical_spacing=0.26 / rows, horizontal_spacing=0.07
+    )
     for i, band in enumerate(bands):
         _add_band(figure, band, i // 2 + 1, i % 2 + 1, i == 0)
     shade_dives(figure, run, rows, 2)
@@ -164,14 +186,19 @@ def error_figure(run: Run, tracks: ErrorTracks) -> go.Figure | None:
 
 def _add_band(figure: go.Figure, band: ly.Band, row: int, column: int, legend: bool) -> None:
     look = st.LOOKS[band.topic]
-    both = np.concatenate([band.minutes, band.minutes[::-1]]), np.concatenate([band.three_sigma, -band.three_sigma[::-1]])
+    both = (
+        np.concatenate([band.minutes, band.minutes[::-1]]),
+        np.concatenate([band.three_sigma, -band.three_sigma[::-1]]),
+    )
     fill = go.Scatter(
         x=rounded(both[0]), y=rounded(both[1]), fill="toself", fillcolor=st.faded(st.MUTED, 0.16), line=dict(width=0),
         hoverinfo="skip", name="3σ", legendgroup="3σ", showlegend=legend,
     )  # fmt: skip
     figure.add_trace(fill, row, column)
     figure.add_hline(y=0, line=dict(color=st.MUTED, width=0.8), row=row, col=column)
-    figure.add_trace(line(band.minutes, band.error, look, showlegend=column == 1 and "height" not in band.title), row, column)
+    figure.add_trace(
+        line(band.minutes, band.error, look, showlegend=column == 1 and "height" not in band.title), row, column
+    )
     for name, values in band.beside.items():
         beside = st.Look(f"error {name}", st.TARGET.colour, 1.6)
         figure.add_trace(line(band.minutes, values, beside, showlegend=column == 1), row, column)
@@ -201,7 +228,11 @@ def profile_figure(run: Run) -> go.Figure | None:
             t = run.tracks[topic].where(ly.thinned(len(run.tracks[topic])))
             figure.add_trace(line(ly.minutes(run, t.stamp_ns), -t.position[:, 2], st.LOOKS[topic]))
     x, y = bottom(run, source)
-    figure.add_trace(go.Scatter(x=rounded(x), y=rounded(y), mode="markers", marker=dict(size=3, color=st.MUTED), name="bottom, by altimeter"))
+    figure.add_trace(
+        go.Scatter(
+            x=rounded(x), y=rounded(y), mode="markers", marker=dict(size=3, color=st.MUTED), name="bottom, by altimeter"
+        )
+    )
     figure.update_yaxes(autorange="reversed")
     shade_dives(figure, run, 1)
     return figure
@@ -229,7 +260,13 @@ def innovation_figure(run: Run) -> go.Figure | None:
     n = len(tables)
     titles = [text for t in tables for text in (f"{t.node}: {t.sensor}", "NIS")]
     figure = make_subplots(
-        n, 2, subplot_titles=titles, shared_xaxes="all", vertical_spacing=0.30 / n, horizontal_spacing=0.07, column_widths=[0.6, 0.4]
+        n,
+        2,
+        subplot_titles=titles,
+        shared_xaxes="all",
+        vertical_spacing=0.30 / n,
+        horizontal_spacing=0.07,
+        column_widths=[0.6, 0.4],
     )
     for i, table in enumerate(tables):
         _add_innovations(figure, run, table, i + 1)
@@ -277,5 +314,15 @@ def _add_nis(figure: go.Figure, time: Array, table: Innovations, some: Array, ro
 
 def _add_verdict_legend(figure: go.Figure) -> None:
     for verdict, colour in st.VERDICTS.items():
-        figure.add_trace(go.Scatter(x=[None], y=[None], mode="markers", marker=dict(color=colour, size=7), name=verdict.lower()), 1, 2)
-    figure.add_trace(go.Scatter(x=[None], y=[None], mode="lines", line=dict(color=st.INK, width=1, dash="dash"), name="95 % bound of NIS"), 1, 2)
+        figure.add_trace(
+            go.Scatter(x=[None], y=[None], mode="markers", marker=dict(color=colour, size=7), name=verdict.lower()),
+            1,
+            2,
+        )
+    figure.add_trace(
+        go.Scatter(
+            x=[None], y=[None], mode="lines", line=dict(color=st.INK, width=1, dash="dash"), name="95 % bound of NIS"
+        ),
+        1,
+        2,
+    )

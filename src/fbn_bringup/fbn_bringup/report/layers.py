@@ -167,7 +167,9 @@ def _band(run: Run, tracks: ErrorTracks, topic: str, title: str, row: int, unit:
 
 def component(table: Innovations, index: int) -> tuple[Array, Array, Stamps]:
     """One component of a sensor's innovations and its sigma (n,), and the indices (n,) of those that have it."""
-    have = np.array([i for i, x in enumerate(table.innovation) if len(x) > index and np.isfinite(x[index])], dtype=np.int64)
+    have = np.array(
+        [i for i, x in enumerate(table.innovation) if len(x) > index and np.isfinite(x[index])], dtype=np.int64
+    )
     values = np.array([table.innovation[i][index] for i in have])
     return values, np.array([table.sigma[i][index] for i in have]), have
 

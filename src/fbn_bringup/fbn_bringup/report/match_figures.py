@@ -25,12 +25,20 @@ def hypothesis_figure(run: Run) -> go.Figure | None:
     if not lines:
         return None
     titles = ["posterior of the hypotheses", "log score against the null hypothesis", "features matched"]
-    figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.08, subplot_titles=titles, row_heights=[0.42, 0.33, 0.25])
+    figure = make_subplots(
+        3, 1, shared_xaxes=True, vertical_spacing=0.08, subplot_titles=titles, row_heights=[0.42, 0.33, 0.25]
+    )
     for i, h in enumerate(lines):
-        look = st.Look("nothing matched", st.MUTED, 1.4, "dot") if h.null else st.Look(f"hypothesis {h.id}", st.CYCLE[i % 8])
+        look = (
+            st.Look("nothing matched", st.MUTED, 1.4, "dot")
+            if h.null
+            else st.Look(f"hypothesis {h.id}", st.CYCLE[i % 8])
+        )
         text = [f"{int(n)} pairs" for n in h.pairs]
         for row, values in ((1, h.posterior), (2, h.log_score)):
-            trace = line(h.minutes, values, look, mode="lines+markers", marker=dict(size=4), text=text, showlegend=row == 1)
+            trace = line(
+                h.minutes, values, look, mode="lines+markers", marker=dict(size=4), text=text, showlegend=row == 1
+            )
             figure.add_trace(trace, row, 1)
     _add_states(figure, run)
     figure.update_yaxes(range=[-0.03, 1.03], row=1)
@@ -46,7 +54,9 @@ def _add_states(figure: go.Figure, run: Run) -> None:
         return
     time = ly.minutes(run, np.array([s.stamp_ns for s in statuses]))
     counts = np.array([s.features_matched for s in statuses], dtype=float)
-    figure.add_trace(line(time, counts, st.Look("features matched", st.MUTED, 1.2), line_shape="hv", showlegend=False), 3, 1)
+    figure.add_trace(
+        line(time, counts, st.Look("features matched", st.MUTED, 1.2), line_shape="hv", showlegend=False), 3, 1
+    )
     for state, colour in STATES.items():
         inside = np.array([s.state.name == state for s in statuses])
         if inside.any():
@@ -74,7 +84,16 @@ def overlay_figure(run: Run) -> go.Figure | None:
         dict(label=f"dive {o.dive}", method="restyle", args=[{"visible": [owner == i for owner in owners]}])
         for i, o in enumerate(made)
     ]
-    menu = dict(type="buttons", direction="right", x=0, y=1.08, xanchor="left", yanchor="bottom", buttons=buttons, active=len(made) - 1)
+    menu = dict(
+        type="buttons",
+        direction="right",
+        x=0,
+        y=1.08,
+        xanchor="left",
+        yanchor="bottom",
+        buttons=buttons,
+        active=len(made) - 1,
+    )
     figure.update_layout(updatemenus=[menu])
     return figure
 
@@ -90,7 +109,11 @@ def _overlay_traces(o: Overlay, visible: bool) -> list[Any]:
         markers(o.map_xy, st.ESTIMATED, "x-thin", 10, o.map_labels, visible=visible),
     ]  # fmt: skip
     if len(o.tracked_xy):
-        traces.append(markers(o.tracked_xy, st.TRACKED, "circle", 7, tuple(str(i) for i in range(len(o.tracked_xy))), visible=visible))
+        traces.append(
+            markers(
+                o.tracked_xy, st.TRACKED, "circle", 7, tuple(str(i) for i in range(len(o.tracked_xy))), visible=visible
+            )
+        )
     return traces
 
 
@@ -99,7 +122,9 @@ def tracking_figure(run: Run) -> go.Figure | None:
     messages = run.of("tracking/features", r.TrackedFeatures)
     if not messages:
         return None
-    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.12, subplot_titles=["tracked, by stage", "detections per ping"])
+    figure = make_subplots(
+        2, 1, shared_xaxes=True, vertical_spacing=0.12, subplot_titles=["tracked, by stage", "detections per ping"]
+    )
     messages = [messages[i] for i in ly.thinned(len(messages))]
     time = ly.minutes(run, np.array([m.stamp_ns for m in messages]))
     for stage, colour in zip(r.Stage, ("#56b4e9", "#009e73", "#7b8794"), strict=True):
@@ -108,8 +133,13 @@ def tracking_figure(run: Run) -> go.Figure | None:
     pings = run.of("sonar/detections", r.SonarDetections)
     pings = [pings[i] for i in ly.thinned(len(pings), 3000)]
     if pings:
-        x, y = ly.minutes(run, np.array([p.stamp_ns for p in pings])), np.array([len(p.detections) for p in pings], dtype=float)
-        figure.add_trace(go.Scatter(x=rounded(x), y=y, mode="markers", marker=dict(size=3, color=st.MUTED), showlegend=False), 2, 1)
+        x, y = (
+            ly.minutes(run, np.array([p.stamp_ns for p in pings])),
+            np.array([len(p.detections) for p in pings], dtype=float),
+        )
+        figure.add_trace(
+            go.Scatter(x=rounded(x), y=y, mode="markers", marker=dict(size=3, color=st.MUTED), showlegend=False), 2, 1
+        )
     shade_dives(figure, run, 2)
     figure.update_xaxes(title_text="minutes since start", row=2)
     return quiet_titles(styled(figure, 420))
@@ -122,7 +152,14 @@ def latency_figure(run: Run) -> go.Figure | None:
         return None
     q = np.array([np.quantile(run.traffic[t].latency, [0.05, 0.5, 0.95]) * 1e3 for t in topics])
     figure = base(90 + 24 * len(topics), xaxis_title="from measurement to log [ms]", hovermode="closest")
-    error = dict(type="data", symmetric=False, array=rounded(q[:, 2] - q[:, 1]), arrayminus=rounded(q[:, 1] - q[:, 0]), thickness=1.4, width=0)
+    error = dict(
+        type="data",
+        symmetric=False,
+        array=rounded(q[:, 2] - q[:, 1]),
+        arrayminus=rounded(q[:, 1] - q[:, 0]),
+        thickness=1.4,
+        width=0,
+    )
     colours = [st.MUTED if GRAPH.publisher(t) is None else st.REFERENCE.colour for t in topics]
     text = [f"{run.traffic[t].rate:.2f} Hz, longest gap {run.traffic[t].longest_gap():.1f} s" for t in topics]
     figure.add_trace(go.Scatter(

@@ -75,7 +75,9 @@ def _overlay(run: Run, leg: Dive) -> Overlay | None:
     tracked = _tracked(run, leg, stamp)
     xy = _on_map(np.array([p for _, p in tracked]).reshape(-1, 3), stamp, path, odom)
     rows, keys = {f.id: i for i, f in enumerate(features)}, {k: i for i, (k, _) in enumerate(tracked)}
-    pairs = [(rows[m], keys[k]) for m, k in zip(best.map_ids, best.feature_keys, strict=True) if m in rows and k in keys]
+    pairs = [
+        (rows[m], keys[k]) for m, k in zip(best.map_ids, best.feature_keys, strict=True) if m in rows and k in keys
+    ]
     return Overlay(
         leg.number,
         best.posterior,
@@ -98,7 +100,9 @@ def _tracked(run: Run, leg: Dive, until_ns: int) -> list[tuple[int, Array]]:
 
 def _on_map(points: Array, stamp_ns: int, path: Track, odom: Track) -> Array:
     """Points (n, 3) of odom on the map (n, 2), by the pose at a stamp in both."""
-    stamp = np.clip(np.array([stamp_ns]), max(path.stamp_ns[0], odom.stamp_ns[0]), min(path.stamp_ns[-1], odom.stamp_ns[-1]))
+    stamp = np.clip(
+        np.array([stamp_ns]), max(path.stamp_ns[0], odom.stamp_ns[0]), min(path.stamp_ns[-1], odom.stamp_ns[-1])
+    )
     a, b = path.at(stamp), odom.at(stamp)
     turn = a.rotation[0] * b.rotation[0].inv()
     return np.asarray(turn.apply(points - b.position[0]) + a.position[0]).reshape(-1, 3)[:, :2]

@@ -13,7 +13,12 @@ from plotly.offline import get_plotlyjs
 
 from fbn_bringup.report import style as st
 
-CONFIG = {"displaylogo": False, "responsive": True, "scrollZoom": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
+CONFIG = {
+    "displaylogo": False,
+    "responsive": True,
+    "scrollZoom": True,
+    "modeBarButtonsToRemove": ["lasso2d", "select2d"],
+}
 CSS = f"""
 * {{ box-sizing: border-box }}
 body {{ margin: 0; background: #f5f7fa; color: {st.INK}; font: 15px/1.5 {st.FONT} }}

@@ -71,7 +71,9 @@ def _plane(axes: Axes, title: str) -> None:
 def _path(axes: Axes, layers: ly.MapLayers, topic: str) -> None:
     if topic in layers.paths:
         look = st.LOOKS[topic]
-        axes.plot(*layers.paths[topic].position[:, :2].T, color=look.colour, lw=0.8 * look.width, label=look.name, zorder=3)
+        axes.plot(
+            *layers.paths[topic].position[:, :2].T, color=look.colour, lw=0.8 * look.width, label=look.name, zorder=3
+        )
 
 
 def _prior(axes: Axes, layers: ly.MapLayers) -> None:
@@ -168,7 +170,9 @@ def matches(run: Run, tracks: ErrorTracks, path: Path) -> None:
     rows = -(-len(made) // columns)
     with mpl.rc_context(RC):
         figure = Figure(figsize=(10.5, 2.2 + 3.0 * rows), layout="constrained")
-        top, *below = figure.subfigures(1 + (rows > 0), 1, height_ratios=[2.2, 3.0 * rows][: 1 + (rows > 0)], squeeze=False).flat
+        top, *below = figure.subfigures(
+            1 + (rows > 0), 1, height_ratios=[2.2, 3.0 * rows][: 1 + (rows > 0)], squeeze=False
+        ).flat
         _posterior(top.subplots(), run, lines)
         if below:
             grid = below[0].subplots(rows, columns, squeeze=False, sharex=True, sharey=True)

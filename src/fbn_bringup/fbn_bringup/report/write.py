@@ -41,7 +41,9 @@ def write_report(
     return target
 
 
-def _content(run: Run, result: Evaluation, tracks: ErrorTracks) -> tuple[str, str, list[tuple[str, Cell]], list[Section]]:
+def _content(
+    run: Run, result: Evaluation, tracks: ErrorTracks
+) -> tuple[str, str, list[tuple[str, Cell]], list[Section]]:
     known = "against truth" if result.has_truth else "without truth: inner consistency only"
     length = sum(d.duration_s for d in result.dives) / 60
     subtitle = f"{len(result.dives)} dives, {length:.0f} minutes under water; {known}."
@@ -65,7 +67,12 @@ def cards(result: Evaluation) -> list[tuple[str, Cell]]:
 
 
 def _sections(run: Run, result: Evaluation, tracks: ErrorTracks) -> Iterator[Section]:
-    yield Section("dives", "Dives", "Each dive: did the filter find itself on the map, rightly, and how well.", [dive_table(result)])
+    yield Section(
+        "dives",
+        "Dives",
+        "Each dive: did the filter find itself on the map, rightly, and how well.",
+        [dive_table(result)],
+    )
     yield Section(
         "map", "Map", "Track over prior and estimated map; ellipses are one standard deviation. The prior map is displaced against "
         "the true features, and the path on the map follows the map, not GPS. Click a name to switch a layer, drag to zoom.",
@@ -76,11 +83,23 @@ def _sections(run: Run, result: Evaluation, tracks: ErrorTracks) -> Iterator[Sec
         _some(f.error_figure(run, tracks), error_table(result)),
     )  # fmt: skip
     matches = _some(mf.hypothesis_figure(run), mf.overlay_figure(run))
-    yield Section("matches", "Matches", "The bank of hypotheses over time, and what was tracked laid on the map at each dive's end.", matches)
-    yield Section("tracking", "Tracking", "Objects by stage, and how much the sonar said.", _some(mf.tracking_figure(run)))
+    yield Section(
+        "matches",
+        "Matches",
+        "The bank of hypotheses over time, and what was tracked laid on the map at each dive's end.",
+        matches,
+    )
+    yield Section(
+        "tracking", "Tracking", "Objects by stage, and how much the sonar said.", _some(mf.tracking_figure(run))
+    )
     yield Section("profile", "Depth", "Depth of the vehicle, and of the bottom under it.", _some(f.profile_figure(run)))
     consistency = _some(nees_table(result), sensor_table(result))
-    yield Section("consistency", "Consistency", "Is each estimate as good as it says? 1 is right, more is over-confident.", consistency)
+    yield Section(
+        "consistency",
+        "Consistency",
+        "Is each estimate as good as it says? 1 is right, more is over-confident.",
+        consistency,
+    )
     yield Section(
         "innovations", "Innovations", "What each measurement said against what was expected: innovation with three sigma (dotted), "
         "and its normalised square.", _some(f.innovation_figure(run)),
@@ -89,7 +108,9 @@ def _sections(run: Run, result: Evaluation, tracks: ErrorTracks) -> Iterator[Sec
         "traffic", "Rates and latencies", "In lock step, an output's latency is in log time: data are handled in steps.",
         _some(mf.latency_figure(run), folded("as a table", traffic_table(run))),
     )  # fmt: skip
-    yield Section("health", "Health and parameters", "Each node's last word, and the parameters it ran with.", _health(run))
+    yield Section(
+        "health", "Health and parameters", "Each node's last word, and the parameters it ran with.", _health(run)
+    )
 
 
 def _some(*parts: Any) -> list[Any]:
@@ -99,7 +120,9 @@ def _some(*parts: Any) -> list[Any]:
 def dive_table(result: Evaluation) -> str:
     """One row per dive."""
     columns = ("dive", "start [min]", "length [s]", "way [m]", "matched", "after [s]", "pairs right", "wrong", "on the map [m]", "at the end [m]", "reference [m]", "dead reckoning [% of distance]")  # fmt: skip
-    return html_table(columns, [_dive_row(d, result.has_truth) for d in result.dives], caption="On the map: median after the match.")
+    return html_table(
+        columns, [_dive_row(d, result.has_truth) for d in result.dives], caption="On the map: median after the match."
+    )
 
 
 def _dive_row(d: DiveResult, has_truth: bool) -> tuple[Any, ...]:
@@ -153,7 +176,9 @@ def traffic_table(run: Run) -> str:
 
 
 def _health(run: Run) -> list[Any]:
-    rows = [(node, Cell(h.level.name, JUDGEMENT[h.level]), h.message, _values(h.values)) for node, h in run.health.items()]
+    rows = [
+        (node, Cell(h.level.name, JUDGEMENT[h.level]), h.message, _values(h.values)) for node, h in run.health.items()
+    ]
     parts: list[Any] = [html_table(("node", "level", "says", "counters"), rows, left=4)] if rows else []
     for node, values in run.parameters.items():
         parts.append(folded(f"parameters of {node}", html_table(("name", "value"), sorted(values.items()))))

@@ -1,0 +1,220 @@
+"""One scenario over many seeds: simulate, navigate in one process, evaluate; in parallel, nothing but numbers kept."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from fbn_bringup.evaluation.consistency import chi2_bound
+from fbn_bringup.evaluation.evaluate import Evaluation, evaluate
+from fbn_bringup.evaluation.run import Run, collect
+from fbn_bringup.ui import number, table
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What every seed has in common."""
+
+    scenario: str
+    parameter_files: tuple[Path, ...] = ()
+    settings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One seed's numbers; an error says why there are none."""
+
+    seed: int
+    values: dict[str, float | None]
+    wall_s: float
+    error: str = ""
+
+
+MEASURES: dict[str, tuple[str, int, bool]] = {  # name: (unit, digits, is more worse)
+    "dives": ("", 0, False),
+    "dives_matched": ("", 0, False),
+    "false_matches": ("", 0, True),
+    "wrong_pairs": ("", 0, True),
+    "on_map_median_m": ("m", 2, True),
+    "on_map_final_m": ("m", 2, True),
+    "target_error_m": ("m", 2, True),
+    "drift_median_percent": ("%", 2, True),
+    "drift_worst_percent": ("%", 2, True),
+    "reference_median_m": ("m", 2, True),
+    "speed": ("x", 0, False),
+}
+
+
+def run_campaign(
+    plan: Plan, seeds: Iterable[int], jobs: int | None = None, on_done: Callable[[int], None] = lambda n: None
+) -> list[Row]:
+    """All seeds, by seed; ``on_done`` is told how many are done."""
+    seeds = list(seeds)
+    jobs = min(jobs or os.cpu_count() or 1, len(seeds))
+    rows: list[Row] = []
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(run_seed, plan, seed) for seed in seeds]):
+            rows.append(future.result())
+            on_done(len(rows))
+    return sorted(rows, key=lambda r: r.seed)
+
+
+def run_seed(plan: Plan, seed: int) -> Row:
+    """One seed from simulation to numbers; whatever goes wrong is told in the row."""
+    begin = time.monotonic()
+    try:
+        run, speed = navigate(plan, seed)
+        return Row(seed, measures(evaluate(run), run, speed), time.monotonic() - begin)
+    except Exception as error:  # one bad seed must not cost the others; the row and the exit status tell
+        return Row(seed, {}, time.monotonic() - begin, f"{type(error).__name__}: {error}")
+
+
+def navigate(plan: Plan, seed: int) -> tuple[Run, float]:
+    """Simulate a seed and run the estimators on it, in memory; gives the run and its speed (times real time)."""
+    import tempfile
+
+    from fbn_bringup.commands.options import overrides
+    from fbn_bringup.configuration import load_parameters
+    from fbn_bringup.offline import run_offline
+    from fbn_bringup.simulation import MAP_FILE, PARAMETER_FILE, truth_of, write_sidecars
+    from fbn_common.graph import GRAPH
+    from fbn_sim.scenario import load_scenario
+    from fbn_sim.simulation import simulate
+
+    simulation = simulate(load_scenario(plan.scenario), seed)
+    with tempfile.TemporaryDirectory() as place:
+        write_sidecars(simulation, Path(place))
+        chosen = overrides(list(plan.settings), Path(place) / MAP_FILE)
+        parameters = load_parameters(GRAPH, (Path(place) / PARAMETER_FILE, *plan.parameter_files), chosen)
+        items = list(simulation.records())
+        begin = time.perf_counter()
+        run_offline(
+            GRAPH, parameters, simulation.records(), lambda log_ns, topic, record: items.append((log_ns, topic, record))
+        )
+        wall = time.perf_counter() - begin
+    span = (simulation.entries[-1].log_time_ns - simulation.entries[0].log_time_ns) / 1e9
+    return collect(items, f"{plan.scenario}, seed {seed}", truth_of(simulation)), span / wall
+
+
+def measures(result: Evaluation, run: Run, speed: float) -> dict[str, float | None]:
+    """A seed's numbers by name; NEES ratios come as ``nees: ...``."""
+    from fbn_bringup.evaluation.evaluate import target_errors
+
+    drifts = [d.deadreck.percent for d in result.dives if d.deadreck and d.deadreck.distance > 1.0]
+    target = target_errors(run)[1]
+    found: dict[str, float | None] = {
+        "dives": len(result.dives),
+        "dives_matched": result.matched,
+        "false_matches": result.false_matches,
+        "wrong_pairs": sum(d.matches.wrong for d in result.dives if d.matches.declared),
+        "on_map_median_m": result.on_map_median,
+        "on_map_final_m": result.on_map_final,
+        "target_error_m": float(np.linalg.norm(target[-1, :2])) if len(target) else None,
+        "drift_median_percent": float(np.median(drifts)) if drifts else None,
+        "drift_worst_percent": max(drifts, default=None),
+        "reference_median_m": next((e.median for e in result.errors if e.name == "reference/odometry"), None),
+        "speed": speed,
+    }
+    return found | {f"nees: {n.name}": n.ratio for n in result.nees} | {f"dof: {n.name}": n.dof for n in result.nees}
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """A measure over all seeds that have it."""
+
+    name: str
+    seeds: int
+    total: float
+    median: float
+    low: float  # 5 %
+    high: float  # 95 %
+    worst: float
+
+
+def spreads(rows: list[Row]) -> list[Spread]:
+    """Median, spread and worst of every measure."""
+    names = dict.fromkeys(name for row in rows for name in row.values if not name.startswith("dof: "))
+    return [
+        spread(name, [v for row in rows if (v := row.values.get(name)) is not None and np.isfinite(v)])
+        for name in names
+    ]
+
+
+def spread(name: str, values: list[float]) -> Spread:
+    """Median, spread and worst of one measure; NaN where no seed has it."""
+    if not values:
+        return Spread(name, 0, *[float("nan")] * 5)
+    more_is_worse = MEASURES.get(name, ("", 2, True))[2]
+    low, median, high = (float(q) for q in np.quantile(values, [0.05, 0.5, 0.95]))
+    return Spread(
+        name, len(values), float(sum(values)), median, low, high, max(values) if more_is_worse else min(values)
+    )
+
+
+def summary_table(plan: Plan, rows: list[Row]) -> Table:
+    """The campaign in a table."""
+    good = [row for row in rows if not row.error]
+    t = table(
+        f"{plan.scenario}: {len(good)} of {len(rows)} seeds",
+        "measure",
+        "seeds",
+        "total",
+        "median",
+        "5 %",
+        "95 %",
+        "worst",
+        "band of the mean",
+    )
+    for s in spreads(good):
+        unit, digits, _ = MEASURES.get(s.name, ("", 2, True))
+        total = number(s.total, 0) if not unit and s.name in MEASURES else ""
+        name = f"{s.name} [{unit}]".replace("[", "\\[") if unit else s.name
+        t.add_row(
+            name, str(s.seeds), total, *(number(v, digits) for v in (s.median, s.low, s.high, s.worst)), _band(s, good)
+        )
+    return t
+
+
+def _band(s: Spread, rows: list[Row]) -> str:
+    """For NEES: mean over the seeds, and the 95 % band were every run one independent sample."""
+    if not s.name.startswith("nees: ") or not s.seeds:
+        return ""
+    dof = next((v for row in rows if (v := row.values.get(s.name.replace("nees", "dof", 1)))), 1.0) or 1.0
+    low, high = (float(chi2_bound(p, s.seeds * dof)) / (s.seeds * dof) for p in (0.025, 0.975))
+    return f"{s.total / s.seeds:.2f} in {low:.2f}–{high:.2f}"
+
+
+def write(directory: Path, plan: Plan, rows: list[Row]) -> Path:
+    """Write ``rows.csv`` and ``summary.json``; gives the path of the rows."""
+    directory.mkdir(parents=True, exist_ok=True)
+    names = list(dict.fromkeys(name for row in rows for name in row.values))
+    target = directory / "rows.csv"
+    with target.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["seed", *names, "wall_s", "error"])
+        writer.writerows(
+            [row.seed, *(row.values.get(n) for n in names), f"{row.wall_s:.1f}", row.error] for row in rows
+        )
+    document: dict[str, Any] = {
+        "scenario": plan.scenario, "settings": list(plan.settings), "parameter_files": [str(p) for p in plan.parameter_files],
+        "seeds": [row.seed for row in rows], "failed": {row.seed: row.error for row in rows if row.error},
+        "measures": {s.name: _finite(dataclasses.asdict(s)) for s in spreads(rows)},
+    }  # fmt: skip
+    (directory / "summary.json").write_text(json.dumps(document, indent=2))
+    return target
+
+
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items() if k != "name"}
