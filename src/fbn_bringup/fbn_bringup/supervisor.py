@@ -6,7 +6,6 @@ import ctypes
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections import deque
@@ -187,22 +186,3 @@ def _signal_group(pid: int, sent: signal.Signals) -> None:
         os.killpg(pid, sent)
     except ProcessLookupError:
         return
-
-
-class Console:
-    """Prints the processes' lines with their names in front, coloured on a terminal."""
-
-    COLOURS = (36, 32, 33, 35, 34, 96, 92, 93)
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self._width = max((len(n) for n in names), default=0)
-        self._codes = {name: self.COLOURS[i % len(self.COLOURS)] for i, name in enumerate(names)}
-        self._colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ
-        self._lock = threading.Lock()
-
-    def __call__(self, name: str, line: str) -> None:
-        label = f"{name:<{self._width}} |"
-        if self._colour:
-            label = f"\x1b[{self._codes.get(name, 37)}m{label}\x1b[0m"
-        with self._lock:
-            print(f"{label} {line}", flush=True)

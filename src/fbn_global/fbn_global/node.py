@@ -1,4 +1,4 @@
-"""The ``fbn_tracking`` node; everything about it is declared in ``fbn_common.graph``."""
+"""The ``fbn_global`` node; everything about it is declared in ``fbn_common.graph``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fbn_ros.node import main_of
 
 def main() -> int:
     """Run the node until it is told to stop; the exit status."""
-    return main_of("fbn_tracking")
+    return main_of("fbn_global")
 
 
 if __name__ == "__main__":
