@@ -342,6 +342,7 @@ class MotionFilter:
         out = []
         n = self.ekf.events.after(t0)
         for slot in self.ekf.events.slots[:n]:
+            self.ekf.events.rows.verdict[slot] = Verdict.REFUSED  # nobody is to take it for a used one
             intake = self._pending.pop(slot, None)
             if intake is not None:
                 stamp = int(self.ekf.events.rows.stamp[slot])
