@@ -14,6 +14,7 @@ from fbn_common.types import Array, Mat3, Mat6, Vec3, Vec6
 from fbn_sim.sea import SeaTable, current, elevation, orbital
 from fbn_sim.vehicle import Body
 
+BOW_SHARE = 0.2  # of the buoyancy in the tapering bow, and as much in the stern
 STATE = 13  # position 3 (map), quaternion 4, velocity 6 (body, over ground)
 
 
@@ -69,16 +70,17 @@ def hydrodynamics(body: Body, velocity: Vec6, actuators: Array) -> Vec6:
 
 @njit(cache=True)
 def restoring(body: Body, rotation: Mat3, position: Vec3, surface: float) -> Vec6:
-    """Force and torque (6,) of weight and buoyancy; the hull's thirds lose buoyancy as they leave the water."""
+    """Force and torque (6,) of weight and buoyancy; bow, middle and stern lose buoyancy as they leave the water."""
     up = rotation[2].copy()  # world's up in the body
     out = np.empty(6)
     out[:3] = -body.weight * up
     out[3:] = cross(body.gravity_centre, out[:3])
-    for third in range(3):
-        arm = np.array([(third - 1) * body.length / 3.0, 0.0, 0.0])
+    for part in range(-1, 2):
+        share = BOW_SHARE if part else 1.0 - 2.0 * BOW_SHARE
+        arm = np.array([0.3 * part * body.length, 0.0, 0.0])
         height = position[2] + up[0] * arm[0] - surface
         s = min(max((body.radius - height) / (2.0 * body.radius), 0.0), 1.0)
-        force = body.buoyancy / 3.0 * s * s * (3.0 - 2.0 * s) * up
+        force = share * body.buoyancy * s * s * (3.0 - 2.0 * s) * up
         out[:3] += force
         out[3:] += cross(arm, force)
     return out

@@ -25,8 +25,8 @@ class Scatter:
 
     thrust: float = param(0.04, "-", "of the propeller's thrust", "a few per cent of speed at a given rate")
     drag: float = param(0.05, "-", "of drag, each axis", "assumed")
-    buoyancy: float = param(0.4, "N", "of the buoyancy in excess of weight", "40 g of ballast")
-    trim: float = param(0.0008, "m", "of the centre of gravity, forward and sideways", "0.5 to 4 deg of tilt at rest")
+    buoyancy: float = param(0.3, "N", "of the buoyancy in excess of weight", "30 g of ballast")
+    trim: float = param(0.0004, "m", "of the centre of gravity, forward and sideways", "2 deg of tilt at rest")
     servo: float = param(0.012, "rad", "of the zeros of pan and tilt, or the fins", "0.7 deg")
 
 
@@ -39,7 +39,7 @@ class Vehicle:
     mass: float = param(32.7, "kg", "with the water inside", "0.8 of the cylinder's volume")
     inertia: tuple[float, float, float] = param((0.18, 3.9, 3.9), "kg m^2", "about the centre of buoyancy", _SLENDER)
     gravity_centre: tuple[float, float, float] = param((0.0, 0.0, -0.012), "m", "from the centre of buoyancy", "assumed")
-    excess_buoyancy: float = param(1.0, "N", "over the weight, under water", "100 g, so that it comes up by itself")
+    excess_buoyancy: float = param(0.8, "N", "over the weight, under water", "80 g, so that it comes up by itself")
     added_mass: tuple[float, float, float, float, float, float] = param(
         (1.8, 27.0, 27.0, 0.02, 2.9, 2.9), "kg, kg m^2", "added mass, diagonal", _SLENDER
     )
