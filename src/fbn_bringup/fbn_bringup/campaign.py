@@ -88,14 +88,18 @@ def navigate(plan: Plan, seed: int) -> tuple[Run, float]:
     from fbn_bringup.commands.options import overrides
     from fbn_bringup.configuration import load_parameters
     from fbn_bringup.offline import run_offline
-    from fbn_bringup.simulation import MAP_FILE, PARAMETER_FILE, truth_of, write_sidecars
+    from fbn_bringup.evaluation.truth import parse
+    from fbn_bringup.simulation import PARAMETER_FILE, parameter_text
     from fbn_common.graph import GRAPH
+    from fbn_common.prior_map import write_prior_map
+    from fbn_sim.bag import MAP_FILE, truth_document
     from fbn_sim.scenario import load_scenario
     from fbn_sim.simulation import simulate
 
     simulation = simulate(load_scenario(plan.scenario), seed)
     with tempfile.TemporaryDirectory() as place:
-        write_sidecars(simulation, Path(place))
+        write_prior_map(Path(place) / MAP_FILE, simulation.prior_map)
+        (Path(place) / PARAMETER_FILE).write_text(parameter_text(simulation))
         chosen = overrides(list(plan.settings), Path(place) / MAP_FILE)
         parameters = load_parameters(GRAPH, (Path(place) / PARAMETER_FILE, *plan.parameter_files), chosen)
         items = list(simulation.records())
@@ -105,7 +109,7 @@ def navigate(plan: Plan, seed: int) -> tuple[Run, float]:
         )
         wall = time.perf_counter() - begin
     span = (simulation.entries[-1].log_time_ns - simulation.entries[0].log_time_ns) / 1e9
-    return collect(items, f"{plan.scenario}, seed {seed}", truth_of(simulation)), span / wall
+    return collect(items, f"{plan.scenario}, seed {seed}", parse(truth_document(simulation))), span / wall
 
 
 def measures(result: Evaluation, run: Run, speed: float) -> dict[str, float | None]:

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 if TYPE_CHECKING:
-    from fbn_bringup.evaluation.truth import Truth
     from fbn_sim.simulation import Simulation
 
 Advance = Callable[[float, str], None]
-MAP_FILE = "prior_map.geojson"
 PARAMETER_FILE = "parameters.yaml"
 
 
@@ -38,48 +36,23 @@ def simulate_to_bag(scenario: str, target: Path, seed: int | None, advance: Adva
 
     Raises ParameterError for a wrong scenario, BagError where the bag cannot be written.
     """
-    from fbn_ros.bag import BagWriter
+    from fbn_sim.bag import write_bag
     from fbn_sim.scenario import load_scenario
     from fbn_sim.simulation import simulate
 
     loaded = load_scenario(scenario)
     advance(0.0, "the mission (the first time, kernels are compiled)")
     simulation = simulate(loaded, seed)
-    total = len(simulation.entries)
-    with BagWriter(target) as bag:
-        for n, (log_ns, topic, record) in enumerate(simulation.records()):
-            if n % 2000 == 0:
-                advance(0.3 + 0.7 * n / total, f"{n} of {total} messages")
-            bag.write(log_ns, topic, record)
-    write_sidecars(simulation, target)
+    write_bag(simulation, target, lambda fraction: advance(0.3 + 0.7 * fraction, "the bag"))
+    (target / PARAMETER_FILE).write_text(parameter_text(simulation))
     return target
 
 
-def write_sidecars(simulation: Simulation, target: Path) -> None:
-    """The files beside a simulated bag."""
-    from fbn_bringup.evaluation.truth import FILE, save
-    from fbn_common.prior_map import write_prior_map
-
-    write_prior_map(target / MAP_FILE, simulation.prior_map)
-    save(truth_of(simulation), target / FILE)
+def parameter_text(simulation: Simulation) -> str:
+    """A ROS parameter file with what an estimator cannot guess."""
     document = {node: {"ros__parameters": values} for node, values in estimator_parameters(simulation).items()}
-    (target / PARAMETER_FILE).write_text(
-        "# What the estimators must know of this vehicle; defaults hold for the rest.\n" + yaml.safe_dump(document)
-    )
-
-
-def truth_of(simulation: Simulation) -> Truth:
-    """What evaluation needs of the simulator's truth."""
-    from fbn_bringup.evaluation.truth import TrueFeature, Truth
-
-    datum, features = simulation.scenario.world.datum, simulation.truth.features
-    mapped = {f.id for f in simulation.prior_map.features}
-    target = simulation.scenario.world.target
-    found = (
-        TrueFeature(key, position, key if key in mapped else None, name == target)
-        for key, name, position in zip(features.ids, features.names, features.positions, strict=True)
-    )
-    return Truth((datum.latitude, datum.longitude, datum.height), tuple(found))
+    about = "# What the estimators must know of this vehicle; for all else the defaults hold.\n"
+    return about + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
 
 
 def estimator_parameters(simulation: Simulation) -> dict[str, dict[str, Any]]:

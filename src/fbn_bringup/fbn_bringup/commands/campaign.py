@@ -17,7 +17,7 @@ the summary to JSON. A seed that fails is a row with its error, and the exit sta
 Examples:
 
   fbn campaign charles_river_2006 --seeds 0:20
-  fbn campaign row_ambiguity --seeds 0:100 --set global.matching=JCBB -o out/jcbb
+  fbn campaign row_ambiguity --seeds 0:100 --set global.method=JCBB -o out/jcbb
 """
 
 

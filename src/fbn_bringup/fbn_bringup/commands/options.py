@@ -68,7 +68,7 @@ def overrides(settings: list[str] | None, prior_map: Path | None) -> dict[str, o
     if prior_map is not None:
         if not prior_map.is_file():
             fail(f"{prior_map}: no such map file", 2)
-        found["global.prior_map"] = str(prior_map.resolve())
+        found["global.map_file"] = str(prior_map.resolve())
     for setting in settings or ():
         name, equals, value = setting.partition("=")
         if not equals or "." not in name:

@@ -19,7 +19,7 @@ Examples:
   fbn replay bags/charles_river_2006 -o out/river
   fbn replay my_bag --offline  # one process, no DDS, fastest, the same answer
   fbn replay my_bag --rate 1  # paced by time, as on the vehicle
-  fbn replay out/river/bag --only tracking,global --set global.matching=JCBB -o out/again
+  fbn replay out/river/bag --only tracking,global --set global.method=JCBB -o out/again
 """
 
 

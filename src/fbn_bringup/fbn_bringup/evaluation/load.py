@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import struct
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fbn_bringup.evaluation import truth as t
-from fbn_bringup.evaluation.run import NOT_KEPT, Item, Run, Timing, collect
+from fbn_bringup.evaluation.odometry import OdometryTable
+from fbn_bringup.evaluation.run import NOT_KEPT, TRACKS, Item, Run, Timing, collect
 from fbn_common.estimator import Health, Level
-from fbn_common.records import Record
+from fbn_common.records import Odometry, Record
 from fbn_common.types import NS
 from fbn_ros.bag import BagReader
 from fbn_ros.conversion import ConversionError
@@ -33,20 +35,26 @@ def load_run(path: Path, truth_file: Path | None = None, advance: Advance = lamb
     truth = t.load(found) if found is not None else None
     namespace = summary.namespace if summary is not None else ""
     with BagReader(bag, namespace) as reader:
-        run = collect(_items(reader, advance), path.resolve().name, truth)
+        tables: dict[str, OdometryTable] = defaultdict(OdometryTable)
+        items = list(_items(reader, tables, advance))
+        run = collect(items, path.resolve().name, truth, {t: table.track() for t, table in tables.items()})
     return _with_summary(run, summary) if summary is not None else run
 
 
-def _items(reader: BagReader, advance: Advance) -> Iterator[Item]:
-    """Every message that has a record; of topics that are only counted, the stamp alone is decoded."""
+def _items(reader: BagReader, tables: dict[str, OdometryTable], advance: Advance) -> Iterator[Item]:
+    """Every message that has a record; odometry goes to its table, and of what is only counted the stamp is decoded."""
     span = max(reader.end_ns - reader.start_ns, 1)
     known = [topic for topic in reader.topics if topic in reader.known]
     for topic in known:
         reader.check_type(topic)
+    odometry = {topic for topic in TRACKS if topic in known and reader.known[topic].record is Odometry}
     for n, (log_ns, topic, data) in enumerate(reader.raw(known)):
         if n % SHOW_EVERY == 0:
             advance((log_ns - reader.start_ns) / span, f"{n} messages")
-        record = Record(_stamp(data)) if topic in NOT_KEPT else reader.decode(topic, data)
+        if topic in odometry:
+            tables[topic].add(_stamp(data), data)
+        bare = topic in odometry or topic in NOT_KEPT
+        record = Record(_stamp(data)) if bare else reader.decode(topic, data)
         if not isinstance(record, ConversionError):
             yield log_ns, topic, record
 

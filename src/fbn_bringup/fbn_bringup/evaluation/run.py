@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -80,16 +80,23 @@ class Run:
         return min((int(t.stamp_ns[0]) for t in self.tracks.values() if len(t)), default=0)
 
 
-def collect(items: Iterable[Item], name: str = "run", truth: Truth | None = None) -> Run:
-    """A run of items in log order; topics may carry a namespace; truth is moved into the run's map."""
+def collect(
+    items: Iterable[Item], name: str = "run", truth: Truth | None = None, ready: Mapping[str, Track] | None = None
+) -> Run:
+    """A run of items in log order; topics may carry a namespace; truth is moved into the run's map.
+
+    ``ready`` are tracks decoded already; their items serve for the traffic alone.
+    """
+    ready = ready or {}
     kept: dict[str, list[r.Record]] = defaultdict(list)
     times: dict[str, list[tuple[int, int]]] = defaultdict(list)
     for log_ns, topic, record in items:
         plain = without_namespace(topic)
         times[plain].append((record.stamp_ns, log_ns))
-        if plain not in NOT_KEPT:
+        if plain not in NOT_KEPT and plain not in ready:
             kept[plain].append(record)
     tracks = {t: track(kept.pop(t)) for t in TRACKS if kept.get(t)}  # type: ignore[arg-type]
+    tracks |= {t: made for t, made in ready.items() if len(made)}
     tables = tuple(table for t in list(kept) if t.endswith("/innovations") for table in _by_sensor(t, kept.pop(t)))
     for records in kept.values():
         records.sort(key=lambda x: x.stamp_ns)

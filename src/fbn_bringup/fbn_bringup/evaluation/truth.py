@@ -57,24 +57,16 @@ class Truth:
 def load(path: Path) -> Truth:
     """The truth in a file; raises TruthError naming the entry that is wrong."""
     try:
-        document = yaml.safe_load(path.read_text())
-        datum = document["datum"]
-        origin = (float(datum["latitude"]), float(datum["longitude"]), float(datum.get("height", 0.0)))
-        return Truth(origin, tuple(_feature(entry) for entry in document["features"]))
+        return parse(yaml.safe_load(path.read_text()))
     except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise TruthError(f"{path}: not a truth file of the simulator ({type(error).__name__}: {error})") from error
 
 
-def save(truth: Truth, path: Path) -> None:
-    """Write a truth file, to the millimetre."""
-    latitude, longitude, height = truth.datum
-    features = [
-        {"id": f.id, "map_id": f.map_id, "target": f.target, "position": [round(float(x), 3) for x in f.position]}
-        for f in truth.features
-    ]
-    about = "# The true features [m, east, north, up at the datum]; map_id: the same on the prior map, null if it lacks it.\n"
-    document = {"datum": {"latitude": latitude, "longitude": longitude, "height": height}, "features": features}
-    path.write_text(about + yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
+def parse(document: dict[str, Any]) -> Truth:
+    """The truth in a document as the simulator writes it."""
+    datum = document["datum"]
+    origin = (float(datum["latitude"]), float(datum["longitude"]), float(datum.get("height", 0.0)))
+    return Truth(origin, tuple(_feature(entry) for entry in document["features"]))
 
 
 def _feature(entry: dict[str, Any]) -> TrueFeature:
