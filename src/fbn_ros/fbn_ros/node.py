@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from fbn_common.estimator import Level
+from fbn_common.estimator import Health, Level
 from fbn_common.graph import GRAPH, Graph, Node, Qos, Topic
 from fbn_common.parameters import flatten
 from fbn_common.records import NodeProgress, Record
@@ -174,6 +174,13 @@ class EstimatorNode(RosNode):
             self._gone.discard(topic)
             self.get_logger().info(f"{name} is back on {topic}")
 
+    def _tell(self, health: Health) -> None:
+        """The logger allows each line of code one severity."""
+        if health.level is Level.OK:
+            self.get_logger().info(f"health: OK: {health.message}")
+        else:
+            self.get_logger().warning(f"health: {health.level.name}: {health.message}")
+
     def _report(self, now_ns: int = 0) -> None:
         now_ns = now_ns or self.get_clock().now().nanoseconds
         values = self.statistics.report()
@@ -181,8 +188,7 @@ class EstimatorNode(RosNode):
         health = self.host.health()
         if health.level is not self._level:
             self._level = health.level
-            log = self.get_logger()
-            (log.info if health.level is Level.OK else log.warning)(f"health: {health.level.name}: {health.message}")
+            self._tell(health)
         self._diagnostics.publish(
             diagnostic_array(self._conversion.factory, now_ns, self.declared, health, values, silent, sorted(self._gone))
         )

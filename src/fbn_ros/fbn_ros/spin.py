@@ -13,8 +13,6 @@ from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedE
 from rclpy.node import Node
 from rclpy.task import Future
 
-from fbn_common.parameters import ParameterError
-
 FOREVER_S = 1e9
 
 
@@ -45,12 +43,12 @@ def run_node(create: Callable[[], Node], args: Sequence[str] | None = None) -> i
         executor = make_executor()
         executor.add_node(node)
         spin(executor)
-    except ParameterError as error:
-        print(f"error: {error}", file=sys.stderr, flush=True)
-        return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception as error:
+        if type(error).__module__.startswith("fbn_"):  # a parameter, a map: it says what to do
+            print(f"ERROR {error}", file=sys.stderr, flush=True)
+            return 1
         if rclpy.ok() or type(error).__name__ != "RCLError":  # a wait set made while the context goes down is no fault
             raise
     finally:
