@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from math import exp
-
 import gtsam
 import numpy as np
 
-from fbn_common.types import NS, Array
+from fbn_common.types import Array
 from fbn_tracking.composite import Part, marginalise
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.nursery import Nursery, slack
 from fbn_tracking.parameters import CompositeParameters, TrackingParameters
 from fbn_tracking.track import Memory, Track
-from fbn_tracking.window import Base, Window
+from fbn_tracking.window import Base, Window, drift_prior
 
 
 def choose_cut(window: Window, nursery: Nursery, par: CompositeParameters) -> int | None:
@@ -50,20 +48,22 @@ def cut(window: Window, last: int, nursery: Nursery, par: TrackingParameters) ->
 
 
 def handover(part: Part, last: int) -> Base:
-    """The next window's base: P2 with what this part knows of it and of the drift, which meanwhile relaxes."""
-    pings = list(part.pings.values())
-    relax = exp(-(pings[-1].stamp_ns - pings[0].stamp_ns) / NS / pings[-1].motion.drift_time_constant)
-    at = np.r_[6:10, len(part.mean) - 3 : len(part.mean)]
-    scale = np.array([1.0] * 4 + [relax] * 3)
-    covariance = part.covariance[np.ix_(at, at)] * np.outer(scale, scale)
-    covariance[4:, 4:] += (1.0 - relax**2) * pings[-1].motion.drift_covariance
-    return Base(part.poses[last], part.mean[at] * scale, 0.5 * (covariance + covariance.T), False)
+    """The next window's base: P2 with what this part knows of it, and the drift as dead reckoning now states it.
+
+    Each window learns the drift anew: when dead reckoning takes over better parameters, what was learnt of the old
+    ones' error is void.  What this part knows of it is in its composite.
+    """
+    covariance = np.zeros((7, 7))
+    covariance[:4, :4] = part.covariance[6:10, 6:10]
+    covariance[4:, 4:] = drift_prior(part.pings[last].motion)
+    mean = np.concatenate((part.mean[6:10], np.zeros(3)))
+    return Base(part.poses[last], mean, 0.5 * (covariance + covariance.T), False)
 
 
 def carried_values(window: Window, part: Part, last: int) -> gtsam.Values:
     """Initial values of the young window: its poses as they were, moved along with P2."""
     values = gtsam.Values()
-    values.insert(DRIFT, part.mean[-3:].copy())
+    values.insert(DRIFT, window.drift())
     move = part.poses[last].compose(window.pose(last).inverse())
     for index in (i for i in window.pings if i >= last):
         values.insert(pose_key(index), part.poses[last] if index == last else move.compose(window.pose(index)))

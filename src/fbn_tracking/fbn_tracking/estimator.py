@@ -20,7 +20,7 @@ from fbn_tracking.publish import tracked_features
 from fbn_tracking.scan import Scanner
 from fbn_tracking.track import Detection, Ping, first_ping, make_look, next_ping
 from fbn_tracking.warm_up import warm_up
-from fbn_tracking.window import Base, Window
+from fbn_tracking.window import Base, Window, drift_prior
 
 _WIDE = np.array([1e3, 30.0, 30.0, 30.0])  # m, rad: what is put in at the base of a chain; its own earth says more
 _FRAME = "odom"
@@ -133,7 +133,7 @@ class Tracking:
         pose = gtsam.Pose3(gtsam.Rot3(matrix_from_quaternion(motion.pose.orientation)), motion.pose.position)
         mean = np.concatenate((motion.earth, np.zeros(3)))
         covariance = np.diag(np.concatenate((_WIDE**2, np.zeros(3))))
-        covariance[4:, 4:] = motion.drift_covariance + 1e-8 * np.eye(3)
+        covariance[4:, 4:] = drift_prior(motion)
         window = Window(Base(pose, mean, covariance, True), {ping.index: ping}, self.parameters.feature.weak_theta_sigma)
         window.start()
         return window

@@ -14,12 +14,13 @@ import numpy as np
 
 from fbn_common.types import NS, Array, Mat2, Mat3, Vec3
 from fbn_tracking.geometry import observe
-from fbn_tracking.infants import beam_weights, fit, spread, symmetric_inverse
+from fbn_tracking.infants import beam_weights, fit, normal_equations, spread, symmetric_inverse
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.track import Detection, Look, Mode, Ping, Track, array_pose
 
 _START = 0.6  # of the half lobe: where the search for either elevation begins
 _SAME = 0.02  # rad: closer optima are one
+_EXACT = 1e9  # s^2/m^2: information that holds the drift's slack at rest
 _MEMORY_SLACK = 0.05**2 * np.eye(3)  # m^2: a target's own size
 
 
@@ -85,8 +86,11 @@ def evaluate(track: Track, q: Vec3, around: Surroundings) -> Mode:
         memory, information = track.memory.point, symmetric_inverse(track.memory.covariance + _MEMORY_SLACK)
     x, H, energy, static = fit(q, R, p, t, z, symmetric_inverse(around.slack), memory, information)
     point, covariance = spread(x, H, R[0], p[0], z[0, 4], z[0, 5])
+    raw = np.array([d.z for d in detections])
+    exact = normal_equations(x, R, p, t, raw, _EXACT * np.eye(2), memory, information)[0]
+    given_poses = spread(x, exact, R[0], p[0], z[0, 4], z[0, 5])[1][:3, :3]
     cost = 0.5 * energy + misses_cost(track.misses, point, around) + place_cost(point, covariance[2, 2], track, around)
-    return Mode(x, point, covariance, energy, static, cost)
+    return Mode(x, point, covariance, given_poses, energy, static, cost)
 
 
 def widened(detections: list[Detection], around: Surroundings) -> Array:
@@ -135,7 +139,7 @@ def remembered(track: Track, around: Surroundings) -> Mode:
     assert track.memory is not None
     covariance = np.zeros((5, 5))
     covariance[:3, :3], covariance[3:, 3:] = track.memory.covariance + _MEMORY_SLACK, around.slack
-    return Mode(np.zeros(5), track.memory.point, covariance, 0.0, 0.0, 0.0)
+    return Mode(np.zeros(5), track.memory.point, covariance, covariance[:3, :3], 0.0, 0.0, 0.0)
 
 
 def other_elevation(modes: list[Mode]) -> tuple[float, Vec3]:

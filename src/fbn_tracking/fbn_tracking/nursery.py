@@ -87,7 +87,7 @@ class Nursery:
             return False
         mode = track.modes[0]
         undecided = len(track.modes) > 1 and n < par.detections + par.patience and not expired
-        return not undecided and self.informed(mode.covariance[:3, :3]) and self.static(mode.static, n)
+        return not undecided and self.informed(mode.given_poses) and self.static(mode.static, n)
 
     def informed(self, covariance: Mat3) -> bool:
         """Whether the information in the three Cartesian directions suffices (IROS 2007, III)."""

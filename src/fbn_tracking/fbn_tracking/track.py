@@ -75,6 +75,7 @@ class Mode:
     x: Array  # r, phi, theta, drift slack x, y
     point: Vec3
     covariance: Array
+    given_poses: Mat3  # covariance of the point were the poses and the drift exact
     energy: float
     static: float
     cost: float  # minus log posterior: half the energy, looks that missed it, prior

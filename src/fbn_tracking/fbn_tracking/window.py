@@ -14,13 +14,15 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from fbn_common.types import Array, Vec3
+from fbn_common.records import PingMotion
+from fbn_common.types import Array, Mat3, Vec3
 from fbn_tracking import factors
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.infants import missing_curvature
 from fbn_tracking.solver import solve
 from fbn_tracking.track import Detection, Ping, Track, array_pose
 
+_LEAST_DRIFT = 1e-8  # m^2/s^2
 _SETTLE = 4  # updates at most until nothing is re-linearised any more
 
 
@@ -173,6 +175,11 @@ class Window:
             self.values = dead_reckoned(self.base, list(self.pings.values()))
             self._isam = new_isam()
             self._settle(self._isam.update(self.graph(self.last), self.values))
+
+
+def drift_prior(motion: PingMotion) -> Mat3:
+    """Covariance (3, 3) [m^2/s^2] of the drift at a window's start: what dead reckoning states, kept invertible."""
+    return np.asarray(motion.drift_covariance + _LEAST_DRIFT * np.eye(3))
 
 
 def new_isam() -> Any:
