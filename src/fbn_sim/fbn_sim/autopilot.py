@@ -36,6 +36,25 @@ class PilotTable(NamedTuple):
     gps: Array  # (m, 2) m, error of the fixes at 1 Hz
 
 
+class Surroundings(NamedTuple):
+    """All that the closed loop acts in, as the kernels take it."""
+
+    body: Body
+    sea: SeaTable
+    bed: Array  # see fbn_sim.world.bed_height
+    pilot: PilotTable
+
+
+@njit(cache=True)
+def new_memory(x: float, y: float, yaw: float) -> Array:
+    """The pilot's memory at the start: it knows where it is put in."""
+    memory = np.zeros(MEMORY)
+    memory[FROM_X] = memory[NAV_X] = x
+    memory[FROM_Y] = memory[NAV_Y] = y
+    memory[YAW] = memory[HOLD_YAW] = yaw
+    return memory
+
+
 @njit(cache=True)
 def deviation(coefficients: Array, yaw: float) -> float:
     """Deviation of the compass [rad] at a heading: hard iron turns once, soft iron twice a circle."""
@@ -44,13 +63,14 @@ def deviation(coefficients: Array, yaw: float) -> float:
 
 
 @njit(cache=True)
-def pilot(memory: Array, state: Array, rotation: Mat3, t: float, table: PilotTable, body: Body, sea: SeaTable) -> Array:
+def pilot(memory: Array, state: Array, rotation: Mat3, t: float, around: Surroundings) -> Array:
     """The command (3,) [rad/s, rad, rad] from what the pilot senses now; every PERIOD_S; updates its memory."""
+    table = around.pilot
     yaw, pitch, depth = _sense(state, rotation, t, table)
     yaw_rate = wrap(yaw - memory[YAW]) / PERIOD_S
     pitch_rate = (pitch - memory[PITCH]) / PERIOD_S
     memory[YAW], memory[PITCH] = yaw, pitch
-    _navigate(memory, state, rotation, yaw, pitch, t, table, body, sea)
+    _navigate(memory, state, rotation, yaw, pitch, t, around)
     _next_leg(memory, yaw, table)
     leg = table.legs[int(memory[LEG])]
     command = np.empty(3)
@@ -70,15 +90,15 @@ def _sense(state: Array, rotation: Mat3, t: float, table: PilotTable) -> tuple[f
 
 @njit(cache=True)
 def _navigate(
-    memory: Array, state: Array, rotation: Mat3, yaw: float, pitch: float, t: float, table: PilotTable, body: Body,
-    sea: SeaTable,
-) -> None:  # fmt: skip
+    memory: Array, state: Array, rotation: Mat3, yaw: float, pitch: float, t: float, around: Surroundings
+) -> None:
     """Dead reckoning by propeller rate and compass; pulled to GPS once a second while the antenna is up."""
+    table = around.pilot
     rate = table.legs[int(memory[LEG]), 4]
     memory[NAV_X] += table.speed_per_rate * rate * np.cos(pitch) * np.cos(yaw) * PERIOD_S
     memory[NAV_Y] += table.speed_per_rate * rate * np.cos(pitch) * np.sin(yaw) * PERIOD_S
-    antenna = state[:3] + rotation @ body.antenna
-    up = antenna[2] > elevation(sea, t, antenna)
+    antenna = state[:3] + rotation @ around.body.antenna
+    up = antenna[2] > elevation(around.sea, t, antenna)
     memory[UP_S] = memory[UP_S] + PERIOD_S if up else 0.0
     if memory[UP_S] > SURFACED_S and t - int(t) < PERIOD_S - 1e-6:
         gain, error = table.gains[9], table.gps[int(t)]
@@ -92,7 +112,7 @@ def _next_leg(memory: Array, yaw: float, table: PilotTable) -> None:
     memory[SECONDS] += PERIOD_S
     done = leg[5] > 0.0 and memory[SECONDS] >= leg[5]
     if leg[0] > 0.0:
-        along, _, to_go = _on_line(memory, leg)
+        _, _, to_go = _on_line(memory, leg)
         done = done or to_go < table.gains[8]
     if not done:
         return

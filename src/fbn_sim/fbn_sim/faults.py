@@ -48,7 +48,7 @@ class Fault:
     kind: str = param("dropped", "-", ", ".join(KINDS), "scenario")
     start: float = param(0.0, "s", "from this time of the mission ...", "scenario")
     end: float = param(1e9, "s", "... to this", "scenario")
-    size: float = param(0.0, "by kind", "see the kinds; 0 = 10 deviations, 5 s, twice, 10 deviations, -10 s", "scenario")
+    size: float = param(0.0, "by kind", "see the kinds; 0 = 10 deviations, 5 s, twice, -10 s", "scenario")
     frame: str = param("", "-", "only records of this frame_id; empty = all of the topic", "scenario")
 
     def __post_init__(self) -> None:
@@ -90,7 +90,7 @@ def _frozen(entry: Entry, last: Entry, size: float, rng: np.random.Generator) ->
     changes: dict[str, int] = {"stamp_ns": entry.record.stamp_ns}
     if isinstance(entry.record, r.SonarDetections):
         changes["ping"] = entry.record.ping
-    return [entry._replace(record=dataclasses.replace(last.record, **changes))]  # type: ignore[arg-type]
+    return [entry._replace(record=dataclasses.replace(last.record, **changes))]
 
 
 def _repeated(entry: Entry, last: Entry, size: float, rng: np.random.Generator) -> list[Entry]:

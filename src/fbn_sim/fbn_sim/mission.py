@@ -63,5 +63,3 @@ class Mission:
             to = (0.0, 0.0) if leg.to is None else leg.to
             rows.append([float(leg.to is not None), *to, leg.depth, leg.speed / speed_per_rate, leg.seconds])
         return np.array(rows)
-
-

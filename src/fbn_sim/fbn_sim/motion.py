@@ -9,10 +9,9 @@ from numba import njit
 
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.types import Array
-from fbn_sim.autopilot import DONE, FROM_X, FROM_Y, HOLD_YAW, LEG, MEMORY, NAV_X, NAV_Y, PERIOD_S, YAW, PilotTable, pilot
+from fbn_sim.autopilot import DONE, LEG, NAV_X, NAV_Y, PERIOD_S, Surroundings, new_memory, pilot
 from fbn_sim.dynamics import STATE, actuate, step
-from fbn_sim.sea import SeaTable, current, elevation
-from fbn_sim.vehicle import Body
+from fbn_sim.sea import current, elevation
 from fbn_sim.world import bed_height
 
 
@@ -37,48 +36,46 @@ class Motion:
 
 
 @njit(cache=True)
-def _fly(start: Array, dt: float, steps: int, body: Body, sea: SeaTable, bed: Array, table: PilotTable) -> tuple[Array, int]:
-    """Rows (n, 26) of the truth at each step, and how many are valid."""
-    rows = np.empty((steps, 26))
+def _fly(start: Array, yaw: float, dt: float, steps: int, around: Surroundings) -> tuple[Array, int]:
+    """Rows (n, 24) of the truth at each step, and how many are valid."""
+    rows = np.empty((steps, 24))
     state, actuators, command = np.zeros(STATE), np.zeros(3), np.zeros(3)
-    state[:7] = start[:7]
-    memory = np.zeros(MEMORY)
-    memory[FROM_X] = memory[NAV_X] = start[0]
-    memory[FROM_Y] = memory[NAV_Y] = start[1]
-    memory[YAW] = memory[HOLD_YAW] = start[7]
+    state[:7] = start
+    memory = new_memory(start[0], start[1], yaw)
     every = int(PERIOD_S / dt + 0.5)
     for i in range(steps):
         t = i * dt
         rotation = matrix_from_quaternion(state[3:7])
         if i % every == 0:
-            command = pilot(memory, state, rotation, t, table, body, sea)
-        antenna = state[:3] + rotation @ body.antenna
+            command = pilot(memory, state, rotation, t, around)
+        antenna = state[:3] + rotation @ around.body.antenna
         rows[i, :13], rows[i, 13:16] = state, actuators
-        rows[i, 16:19] = current(sea, t, state[:3])
-        rows[i, 19] = state[2] - bed_height(bed, state[0], state[1])
-        rows[i, 20] = elevation(sea, t, antenna) - antenna[2]
+        rows[i, 16:19] = current(around.sea, t, state[:3])
+        rows[i, 19] = state[2] - bed_height(around.bed, state[0], state[1])
+        rows[i, 20] = elevation(around.sea, t, antenna) - antenna[2]
         rows[i, 21], rows[i, 22], rows[i, 23] = memory[LEG], memory[NAV_X], memory[NAV_Y]
-        if memory[DONE] > 0.0 or rows[i, 19] < body.radius or not np.isfinite(state).all():
+        if memory[DONE] > 0.0 or rows[i, 19] < around.body.radius or not np.isfinite(state).all():
             return rows, i + 1
-        actuators = actuate(actuators, command, dt, body)
-        state = step(state, actuators, t, dt, body, sea)
+        actuators = actuate(actuators, command, dt, around.body)
+        state = step(state, actuators, t, dt, around.body, around.sea)
     return rows, steps
 
 
-def fly(
-    start: tuple[float, float, float], dt: float, limit_s: float, body: Body, sea: SeaTable, bed: Array, table: PilotTable
-) -> Motion:
-    """The truth of a mission from x, y [m] and heading [rad], afloat and at rest; raises SimulationError on grounding."""
-    x, y, yaw = start
-    first = np.array([x, y, -1.5 * body.radius, 0.0, 0.0, np.sin(yaw / 2.0), np.cos(yaw / 2.0), yaw])
-    rows, n = _fly(first, dt, int(limit_s / dt), body, sea, bed, table)
+def fly(start: tuple[float, float], yaw: float, dt: float, limit_s: float, around: Surroundings) -> Motion:
+    """The truth of a mission from x, y [m] and heading [rad], afloat and at rest.
+
+    ``dt`` [s] is the step of integration; it ends when the legs are done, or after ``limit_s``.  Raises
+    SimulationError when the vehicle touches the bed.
+    """
+    first = np.array([*start, -1.5 * around.body.radius, 0.0, 0.0, np.sin(yaw / 2.0), np.cos(yaw / 2.0)])
+    rows, n = _fly(first, yaw, dt, int(limit_s / dt), around)
     rows = np.ascontiguousarray(rows[:n])
     if not np.isfinite(rows[-1, :16]).all():
         raise SimulationError(f"the vehicle's motion became unstable after {n * dt:.1f} s; shorten time_step")
-    if rows[-1, 19] < body.radius:
-        raise SimulationError(f"the vehicle touched the bed after {n * dt:.1f} s; the mission is too deep for the water")
+    if rows[-1, 19] < around.body.radius:
+        raise SimulationError(f"the vehicle touched the bed after {n * dt:.1f} s; the mission goes too deep")
     return Motion(
-        time_s=np.arange(n) * dt,
+        time_s=np.arange(n, dtype=np.float64) * dt,
         position=rows[:, :3],
         orientation=rows[:, 3:7] * np.where(rows[:, 6:7] < 0.0, -1.0, 1.0),
         velocity=rows[:, 7:13],

@@ -101,5 +101,6 @@ def _read(name_or_path: str | Path) -> str:
         except OSError as error:
             raise ParameterError(f"{path}: not a readable scenario: {error}") from error
     if str(name_or_path) not in scenario_names():
-        raise ParameterError(f"no scenario {str(name_or_path)!r}; there are {', '.join(scenario_names())} (or give a .yaml file)")
+        names = ", ".join(scenario_names())
+        raise ParameterError(f"no scenario {str(name_or_path)!r}; there are {names} (or give a .yaml file)")
     return resources.files("fbn_sim").joinpath("scenarios", f"{name_or_path}.yaml").read_text(encoding="utf-8")

@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fbn_common.geodesy import GeodeticPoint, geodetic_from_enu
 from fbn_common.graph import GRAPH, SIMULATOR_TOPICS
 from fbn_common.prior_map import PriorFeature, PriorMap
 from fbn_common.records import Odometry, Pose, Vector3Stamped
 from fbn_common.types import NS, Array
 from fbn_sim import faults
-from fbn_sim.autopilot import PERIOD_S, PilotTable
+from fbn_sim.autopilot import PERIOD_S, PilotTable, Surroundings
 from fbn_sim.motion import Motion, fly, interpolate
 from fbn_sim.randomness import generator
 from fbn_sim.scenario import Scenario, Truth
@@ -25,11 +26,10 @@ from fbn_sim.sensors.clutter import Scatterers, draw_scatterers
 from fbn_sim.sensors.compass import compass_records, draw_deviation, draw_drift
 from fbn_sim.sensors.depth import altitude_records, pressure_records
 from fbn_sim.sensors.position import draw_gps_error, gps_records, lbl_records
-from fbn_sim.sensors.sample import Entry
+from fbn_sim.sensors.sample import Entry, Flight
 from fbn_sim.sensors.sonar import sonar_records
 from fbn_sim.vehicle import draw_body
 from fbn_sim.world import Features, MappedFeature, draw_bed, draw_features, draw_prior_map
-from fbn_common.geodesy import geodetic_from_enu
 
 DIVE_SECONDS = 20.0  # s under water make a dive
 _ORDER = {name: i for i, name in enumerate((*GRAPH.topics, *(t.name for t in SIMULATOR_TOPICS)))}
@@ -97,43 +97,56 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Simulation:
 
 def _truth(scenario: Scenario, bed: Array, features: Features, seed: int) -> GroundTruth:
     mission, sensors = scenario.mission, scenario.sensors
-    seconds = int(mission.limit) + 3
-    body = draw_body(scenario.vehicle, scenario.sea.density, seed)
-    sea = draw_sea(scenario.sea, scenario.world.depth, mission.limit, seed)
     deviation = draw_deviation(sensors.compass, seed)
-    gps_error = draw_gps_error(sensors.gps, seconds, seed)
-    table = PilotTable(
-        legs=mission.table(scenario.vehicle.speed_per_rate),
-        gains=np.array(dataclasses.astuple(mission.autopilot)),
-        speed_per_rate=scenario.vehicle.speed_per_rate,
-        deviation=deviation,
-        drift=draw_drift(sensors.compass, seconds, seed),
-        noise=generator(seed, "pilot").standard_normal((int(mission.limit / PERIOD_S) + 10, 3)) * [0.005, 0.003, 0.01],
-        gps=np.ascontiguousarray(gps_error[:, :2]),
+    gps_error = draw_gps_error(sensors.gps, _seconds(scenario), seed)
+    around = Surroundings(
+        body=draw_body(scenario.vehicle, seed),
+        sea=draw_sea(scenario.sea, scenario.world.depth, mission.limit, seed),
+        bed=bed,
+        pilot=_pilot(scenario, deviation, np.ascontiguousarray(gps_error[:, :2]), seed),
     )
-    motion = fly((*mission.start, mission.heading), scenario.time_step, mission.limit, body, sea, bed, table)
+    motion = fly(mission.start, mission.heading, scenario.time_step, mission.limit, around)
     scatterers = draw_scatterers(sensors.sonar.clutter, features, bed, motion, seed)
     return GroundTruth(scenario.start_time * NS, motion, features, scatterers, deviation, gps_error)
 
 
+def _seconds(scenario: Scenario) -> int:
+    """Whole seconds for which slow errors are drawn."""
+    return int(scenario.mission.limit) + 3
+
+
+def _pilot(scenario: Scenario, deviation: Array, gps_error: Array, seed: int) -> PilotTable:
+    mission, speed_per_rate = scenario.mission, scenario.vehicle.speed_per_rate
+    shape = (int(mission.limit / PERIOD_S) + 10, 3)
+    return PilotTable(
+        legs=mission.table(speed_per_rate),
+        gains=np.array(dataclasses.astuple(mission.autopilot)),
+        speed_per_rate=speed_per_rate,
+        deviation=deviation,
+        drift=draw_drift(scenario.sensors.compass, _seconds(scenario), seed),
+        noise=generator(seed, "pilot").standard_normal(shape) * np.array([0.005, 0.003, 0.01]),
+        gps=gps_error,
+    )
+
+
 def _log(scenario: Scenario, truth: GroundTruth, seed: int) -> list[Entry]:
     """All sensors' records, faults applied, by time of logging."""
-    sensors, motion, start = scenario.sensors, truth.motion, truth.start_ns
-    drift = draw_drift(sensors.compass, int(scenario.mission.limit) + 3, seed)
+    sensors, flight = scenario.sensors, Flight(truth.motion, truth.start_ns, seed)
+    drift = draw_drift(sensors.compass, _seconds(scenario), seed)
     antenna = np.array(scenario.vehicle.antenna)
     entries = [
-        *actuator_records(sensors.actuators, scenario.vehicle.steering, motion, start, seed),
-        *compass_records(sensors.compass, motion, truth.deviation, drift, start, seed),
-        *pressure_records(sensors.pressure, motion, scenario.sea.density, start, seed),
-        *altitude_records(sensors.altimeter, motion, start, seed),
-        *gps_records(sensors.gps, motion, truth.gps_error, antenna, scenario.world.datum, start, seed),
-        *lbl_records(sensors.lbl, motion, start, seed),
-        *sonar_records(sensors.sonar, motion, truth.scatterers, start, seed),
+        *actuator_records(sensors.actuators, scenario.vehicle.steering, flight),
+        *compass_records(sensors.compass, truth.deviation, drift, flight),
+        *pressure_records(sensors.pressure, scenario.sea.density, flight),
+        *altitude_records(sensors.altimeter, flight),
+        *gps_records(sensors.gps, truth.gps_error, antenna, scenario.world.datum, flight),
+        *lbl_records(sensors.lbl, flight),
+        *sonar_records(sensors.sonar, truth.scatterers, flight),
         *_truth_records(sensors.truth, truth),
     ]
     entries.sort(key=_log_order)
     for name, fault in scenario.faults.items():
-        entries = faults.apply(entries, name, fault, start, seed)
+        entries = faults.apply(entries, name, fault, truth.start_ns, seed)
     entries.sort(key=_log_order)
     return entries
 
@@ -156,7 +169,8 @@ def _truth_odometry(rates: Truth, truth: GroundTruth) -> Iterator[Entry]:
     exact = np.zeros((6, 6))
     for i, stamp in enumerate(stamps):
         pose = Pose(motion.position[i], motion.orientation[i])
-        yield Entry(stamp, "truth/odometry", Odometry(stamp, "map", "base_link", pose, motion.velocity[i], exact, exact))
+        record = Odometry(stamp, "map", "base_link", pose, motion.velocity[i], exact, exact)
+        yield Entry(stamp, "truth/odometry", record)
 
 
 def _truth_water(rates: Truth, truth: GroundTruth) -> Iterator[Entry]:
@@ -166,12 +180,10 @@ def _truth_water(rates: Truth, truth: GroundTruth) -> Iterator[Entry]:
 
 
 def _prior_map(scenario: Scenario, mapped: tuple[MappedFeature, ...]) -> PriorMap:
-    features = []
-    for f in mapped:
-        point = geodetic_from_enu(np.array([f.position[0], f.position[1], 0.0]), scenario.world.datum)
-        features.append(
-            PriorFeature(
-                f.id, point.latitude, point.longitude, float(f.position[2]), f.name, f.sigma, f.visibility, target=f.target
-            )
-        )
-    return PriorMap(tuple(features))
+    return PriorMap(tuple(_prior_feature(f, scenario.world.datum) for f in mapped))
+
+
+def _prior_feature(f: MappedFeature, datum: GeodeticPoint) -> PriorFeature:
+    point = geodetic_from_enu(np.array([f.position[0], f.position[1], 0.0]), datum)
+    place = (point.latitude, point.longitude, float(f.position[2]))
+    return PriorFeature(f.id, *place, f.name, f.sigma, f.visibility, target=f.target)

@@ -38,7 +38,9 @@ class Vehicle:
     diameter: float = param(0.2, "m", "of the hull", _RANGER)
     mass: float = param(32.7, "kg", "with the water inside", "0.8 of the cylinder's volume")
     inertia: tuple[float, float, float] = param((0.18, 3.9, 3.9), "kg m^2", "about the centre of buoyancy", _SLENDER)
-    gravity_centre: tuple[float, float, float] = param((0.0, 0.0, -0.012), "m", "from the centre of buoyancy", "assumed")
+    gravity_centre: tuple[float, float, float] = param(
+        (0.0, 0.0, -0.012), "m", "from the centre of buoyancy", "the propeller pitches it by 10 deg"
+    )
     excess_buoyancy: float = param(0.8, "N", "over the weight, under water", "80 g, so that it comes up by itself")
     added_mass: tuple[float, float, float, float, float, float] = param(
         (1.8, 27.0, 27.0, 0.02, 2.9, 2.9), "kg, kg m^2", "added mass, diagonal", _SLENDER
@@ -63,7 +65,9 @@ class Vehicle:
     steering_lag: float = param(0.15, "s", "first-order lag of those", "assumed")
     propeller_rate_limit: float = param(90.0, "rad/s^2", "fastest change of the propeller's rate", "assumed")
     propeller_lag: float = param(0.4, "s", "first-order lag of the propeller's rate", "assumed")
-    speed_per_rate: float = param(0.75 / 125.664, "m", "speed over propeller rate, as the autopilot has it", "0.75 m/s at 1,200 rpm")
+    speed_per_rate: float = param(
+        0.75 / 125.664, "m", "speed over propeller rate, in the autopilot", "0.75 m/s at 1,200 rpm"
+    )
     antenna: tuple[float, float, float] = param((-0.3, 0.0, 0.35), "m", "place of the GPS antenna", "mast aft")
     scatter: Scatter = group(Scatter)
 
@@ -103,8 +107,8 @@ class Body(NamedTuple):
     antenna: Vec3
 
 
-def draw_body(vehicle: Vehicle, density: float, seed: int) -> Body:
-    """An individual of the type, in water of this density [kg/m^3]; its excess buoyancy is stated for fresh water."""
+def draw_body(vehicle: Vehicle, seed: int) -> Body:
+    """An individual of the type, ballasted to its excess buoyancy in the water of the day."""
     rng, s = generator(seed, "vehicle"), vehicle.scatter
     drag = 1.0 + s.drag * rng.standard_normal(6)
     thrust = 1.0 + s.thrust * rng.standard_normal()

@@ -85,7 +85,7 @@ class MappedFeature(NamedTuple):
 
 
 def draw_bed(world: World, seed: int) -> Array:
-    """A realisation of the bed for :func:`bed_height`: rows (amplitude [m], kx, ky [rad/m], phase); the first is the mean."""
+    """A realisation of the bed for :func:`bed_height`: rows of amplitude [m], kx, ky [rad/m], phase; first the mean."""
     rng = generator(seed, "bed")
     waves = np.empty((UNDULATIONS + 1, 4))
     waves[0] = -world.depth, 0.0, 0.0, 0.0
@@ -139,7 +139,8 @@ def _invented(count: int, features: Features, rng: np.random.Generator) -> Array
     if not count:
         return np.empty((0, 3))
     low, high = features.positions.min(axis=0), features.positions.max(axis=0)
-    return rng.uniform(low - [10.0, 10.0, 0.0], high + [10.0, 10.0, 0.0], (count, 3))
+    margin = np.array([10.0, 10.0, 0.0])
+    return rng.uniform(low - margin, high + margin, (count, 3))
 
 
 def _without(world: World, errors: MapErrors, features: Features, rng: np.random.Generator) -> list[int]:

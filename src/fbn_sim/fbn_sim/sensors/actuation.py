@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from fbn_common.parameters import param
+from fbn_common.parameters import group, param
 from fbn_common.records import JointState
-from fbn_sim.motion import Motion
 from fbn_sim.randomness import generator
-from fbn_sim.sensors.sample import Entry, Timing, sample, timing
+from fbn_sim.sensors.sample import Entry, Flight, Timing, sample
 
 TOPIC = "actuators"
 NAMES = {"propeller": ("propeller", "pan", "tilt"), "fins": ("propeller", "rudder", "stern_plane")}
@@ -20,15 +20,15 @@ NAMES = {"propeller": ("propeller", "pan", "tilt"), "fins": ("propeller", "rudde
 class Actuation:
     """Encoders of propeller and servos; they do not see the servos' zeros."""
 
-    timing: Timing = timing(10.0, 0.01, 0.01)
+    timing: Timing = group(partial(Timing, latency=0.01, jitter=0.01))
     rate_noise: float = param(0.5, "rad/s", "white noise of the propeller's rate", "5 rpm")
     angle_noise: float = param(0.003, "rad", "white noise of the angles", "0.2 deg")
 
 
-def actuator_records(sensor: Actuation, steering: str, motion: Motion, start_ns: int, seed: int) -> list[Entry]:
+def actuator_records(sensor: Actuation, steering: str, flight: Flight) -> list[Entry]:
     """Rate of the propeller and the two angles, with zeros where a joint has no such quantity."""
-    rng = generator(seed, "actuators")
-    taken = sample(motion, start_ns, sensor.timing, rng)
+    rng = generator(flight.seed, "actuators")
+    taken = sample(flight, sensor.timing, rng)
     n, names, none = len(taken.time_s), NAMES[steering], np.empty(0)
     rate = taken.motion.actuators[:, 0] + sensor.rate_noise * rng.standard_normal(n)
     rate = np.where(np.abs(taken.motion.actuators[:, 0]) < 1e-3, 0.0, rate)

@@ -35,6 +35,7 @@ class Clutter:
 class Scatterers(NamedTuple):
     """All that can echo, features first: a row each."""
 
+    features: int  # how many of the rows are features
     places: Array  # (n, 3) m, map, at the begin of its life
     drift: Array  # (n, 3) m/s
     life: Array  # (n, 2) s since the start
@@ -42,7 +43,6 @@ class Scatterers(NamedTuple):
     aspect_gain: Array  # (n,) dB, amplitude over aspect
     aspect_order: Array  # (n,) lobes a circle
     aspect_phase: Array  # (n,) rad
-    features: int  # how many of the rows are features
 
 
 def draw_scatterers(clutter: Clutter, features: Features, bed: Array, motion: Motion, seed: int) -> Scatterers:
@@ -52,7 +52,7 @@ def draw_scatterers(clutter: Clutter, features: Features, bed: Array, motion: Mo
     parts.append(_fish(clutter, bed, motion, generator(seed, "clutter", "fish")))
     parts.append(_bubbles(clutter, motion, generator(seed, "clutter", "bubbles")))
     rows = [np.ascontiguousarray(np.concatenate([p[i] for p in parts])) for i in range(7)]
-    return Scatterers(*rows, features=len(features.ids))
+    return Scatterers(len(features.ids), *rows)
 
 
 def _area(motion: Motion) -> tuple[Array, Array, float]:
@@ -61,7 +61,9 @@ def _area(motion: Motion) -> tuple[Array, Array, float]:
     return low, high, float(np.prod(high - low))
 
 
-def _rows(rng: np.random.Generator, places: Array, drift: Array, life: Array, strength: Array, gain: float, order: int) -> list[Array]:
+def _rows(
+    rng: np.random.Generator, places: Array, drift: Array, life: Array, strength: Array, gain: float, order: int
+) -> list[Array]:
     n = len(places)
     phase = rng.uniform(-np.pi, np.pi, n)
     return [places, drift, life, strength, np.full(n, gain), np.full(n, float(order)), phase]
@@ -99,7 +101,8 @@ def _fish(clutter: Clutter, bed: Array, motion: Motion, rng: np.random.Generator
     z = floor * rng.uniform(0.15, 0.95, n)
     heading, speed = rng.uniform(-np.pi, np.pi, n), clutter.fish_speed * rng.rayleigh(0.8, n)
     drift = np.column_stack([speed * np.cos(heading), speed * np.sin(heading), np.zeros(n)])
-    return _rows(rng, np.column_stack([xy, z]), drift, life, clutter.fish_strength + 3.0 * rng.standard_normal(n), 4.0, 2)
+    strength = clutter.fish_strength + 3.0 * rng.standard_normal(n)
+    return _rows(rng, np.column_stack([xy, z]), drift, life, strength, 4.0, 2)
 
 
 def _bubbles(clutter: Clutter, motion: Motion, rng: np.random.Generator) -> list[Array]:
@@ -110,4 +113,5 @@ def _bubbles(clutter: Clutter, motion: Motion, rng: np.random.Generator) -> list
     drift = np.zeros((n, 3))
     drift[:, :2] = motion.current[:, :2].mean(axis=0)
     drift[:, 2] = 0.01
-    return _rows(rng, place, drift, life, clutter.bubble_strength + 3.0 * rng.standard_normal(n), 2.0, 1)
+    strength = clutter.bubble_strength + 3.0 * rng.standard_normal(n)
+    return _rows(rng, place, drift, life, strength, 2.0, 1)

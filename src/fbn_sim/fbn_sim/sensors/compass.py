@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from fbn_common.parameters import param
+from fbn_common.parameters import group, param
 from fbn_common.records import Imu
 from fbn_common.types import Array
 from fbn_sim.motion import Motion
 from fbn_sim.randomness import gauss_markov, generator
 from fbn_sim.sea import GRAVITY
-from fbn_sim.sensors.sample import Entry, Samples, Timing, angles, quaternions, rotations, sample, timing
+from fbn_sim.sensors.sample import Entry, Flight, Samples, Timing, angles, quaternions, rotations, sample
 
 TOPIC = "imu/data"
 
@@ -22,8 +22,8 @@ TOPIC = "imu/data"
 class Compass:
     """A strapped-down magnetometer with accelerometers for the vertical."""
 
-    timing: Timing = timing(10.0)
-    hard_iron_min: float = param(0.0105, "rad", "amplitude of the deviation once a circle, drawn from here ...", "0.6 deg")
+    timing: Timing = group(Timing)
+    hard_iron_min: float = param(0.0105, "rad", "deviation once a circle, amplitude, drawn from here ...", "0.6 deg")
     hard_iron_max: float = param(0.0349, "rad", "... to here", "2 deg")
     soft_iron_min: float = param(0.0052, "rad", "the same twice a circle", "0.3 deg")
     soft_iron_max: float = param(0.0175, "rad", "... to here", "1 deg")
@@ -33,7 +33,7 @@ class Compass:
     yaw_noise: float = param(0.0087, "rad", "white noise of yaw", "0.5 deg")
     tilt_noise: float = param(0.0044, "rad", "white noise of roll and pitch", "0.25 deg")
     tilt_time_constant: float = param(0.5, "s", "of the low-pass behind the accelerometers", "assumed")
-    magnetic_dip: float = param(1.18, "rad", "inclination of the earth's field: tilt errors leak into yaw", "68 deg, Boston")
+    magnetic_dip: float = param(1.18, "rad", "of the earth's field: tilt errors leak into yaw", "68 deg, Boston")
     stated_yaw_sigma: float = param(0.026, "rad", "standard deviation published for yaw: of the total error", "1.5 deg")
     stated_tilt_sigma: float = param(0.0105, "rad", "the same for roll and pitch", "0.6 deg")
 
@@ -53,11 +53,11 @@ def draw_drift(compass: Compass, seconds: int, seed: int) -> Array:
     return gauss_markov(rng, (seconds,), 1.0, compass.drift_sigma, compass.drift_time_constant)
 
 
-def compass_records(compass: Compass, motion: Motion, deviation: Array, drift: Array, start_ns: int, seed: int) -> list[Entry]:
+def compass_records(compass: Compass, deviation: Array, drift: Array, flight: Flight) -> list[Entry]:
     """The compass's records; rates and accelerations are absent (first covariance element -1)."""
-    rng = generator(seed, "compass")
-    taken = sample(motion, start_ns, compass.timing, rng)
-    rpy = measured_angles(compass, motion, taken, deviation, drift, rng)
+    rng = generator(flight.seed, "compass")
+    taken = sample(flight, compass.timing, rng)
+    rpy = measured_angles(compass, flight.motion, taken, deviation, drift, rng)
     orientation = quaternions(rpy)
     covariance = np.diag([compass.stated_tilt_sigma**2] * 2 + [compass.stated_yaw_sigma**2])
     absent, none = np.diag([-1.0, 0.0, 0.0]), np.zeros(3)

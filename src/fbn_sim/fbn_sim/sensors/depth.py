@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from fbn_common.parameters import param
+from fbn_common.parameters import group, param
 from fbn_common.records import FluidPressure, Range
 from fbn_common.types import Array
 from fbn_sim.motion import Motion
 from fbn_sim.randomness import gauss_markov, generator
 from fbn_sim.sea import GRAVITY
-from fbn_sim.sensors.sample import Entry, Timing, rotations, sample, timing
+from fbn_sim.sensors.sample import Entry, Flight, Timing, rotations, sample
 
 PRESSURE_TOPIC, ALTITUDE_TOPIC = "pressure", "altitude"
 ATMOSPHERE = 101_325.0  # Pa
@@ -22,7 +23,7 @@ ATMOSPHERE = 101_325.0  # Pa
 class Pressure:
     """Absolute pressure of the water at the vehicle."""
 
-    timing: Timing = timing(5.0)
+    timing: Timing = group(partial(Timing, 5.0))
     position: tuple[float, float, float] = param((0.0, 0.0, 0.0), "m", "place on the vehicle", "assumed")
     noise: float = param(80.0, "Pa", "white noise", "8 mm of water")
     drift_sigma: float = param(80.0, "Pa", "standard deviation of the slow drift", "temperature, assumed")
@@ -36,7 +37,7 @@ class Pressure:
 class Altimeter:
     """A narrow echo sounder that looks down along ``altimeter_link`` x."""
 
-    timing: Timing = timing(5.0)
+    timing: Timing = group(partial(Timing, 5.0))
     noise: float = param(0.02, "m", "white noise", "data sheet class")
     scale_sigma: float = param(0.005, "-", "of the scale: speed of sound", "assumed")
     beam: float = param(0.17, "rad", "full width of the beam", "10 deg")
@@ -46,10 +47,10 @@ class Altimeter:
     max_range: float = param(30.0, "m", "farthest range", "data sheet class")
 
 
-def pressure_records(sensor: Pressure, motion: Motion, density: float, start_ns: int, seed: int) -> list[Entry]:
+def pressure_records(sensor: Pressure, density: float, flight: Flight) -> list[Entry]:
     """The pressure sensor's records: ``atmosphere + density g depth`` with its errors, in steps."""
-    rng = generator(seed, "pressure")
-    taken = sample(motion, start_ns, sensor.timing, rng)
+    rng = generator(flight.seed, "pressure")
+    taken = sample(flight, sensor.timing, rng)
     n = len(taken.time_s)
     arm = rotations(taken.motion.orientation) @ np.array(sensor.position)
     depth = np.maximum(-(taken.motion.position[:, 2] + arm[:, 2]), 0.0)
@@ -65,10 +66,10 @@ def pressure_records(sensor: Pressure, motion: Motion, density: float, start_ns:
     ]
 
 
-def altitude_records(sensor: Altimeter, motion: Motion, start_ns: int, seed: int) -> list[Entry]:
+def altitude_records(sensor: Altimeter, flight: Flight) -> list[Entry]:
     """The altimeter's records; no echo is 0.0."""
-    rng = generator(seed, "altimeter")
-    taken = sample(motion, start_ns, sensor.timing, rng)
+    rng = generator(flight.seed, "altimeter")
+    taken = sample(flight, sensor.timing, rng)
     measured = _slant_ranges(sensor, taken.motion, rng)
     form = (sensor.beam, sensor.min_range, sensor.max_range)
     return [

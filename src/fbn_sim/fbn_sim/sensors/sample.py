@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fbn_common.parameters import ParameterError, group, param
+from fbn_common.parameters import ParameterError, param
 from fbn_common.records import Record
 from fbn_common.types import NS, Array
 from fbn_sim.motion import Motion, interpolate
@@ -27,9 +27,12 @@ class Timing:
             raise ParameterError("rate, latency and jitter must not be negative; drop must be in [0, 1)")
 
 
-def timing(rate: float, latency: float = 0.03, jitter: float = 0.02, drop: float = 0.002) -> Timing:
-    """A group of timing parameters with these defaults."""
-    return group(lambda: Timing(rate, latency, jitter, drop))  # type: ignore[no-any-return]
+class Flight(NamedTuple):
+    """What every sensor is given: the truth, when it began, and the seed."""
+
+    motion: Motion
+    start_ns: int
+    seed: int
 
 
 class Entry(NamedTuple):
@@ -51,24 +54,24 @@ class Samples:
     motion: Motion
 
 
-def sample(motion: Motion, start_ns: int, when: Timing, rng: np.random.Generator) -> Samples:
+def sample(flight: Flight, when: Timing, rng: np.random.Generator) -> Samples:
     """The truth at the sensor's times: regular but for a random phase and a jitter of a twentieth of the period."""
     if when.rate <= 0.0:
-        return at_times(motion, np.empty(0), start_ns, when, rng)
+        return at_times(flight, np.empty(0), when, rng)
     period = 1.0 / when.rate
-    count = int((motion.time_s[-1] - 2.0 * period) / period)
+    count = int((flight.motion.time_s[-1] - 2.0 * period) / period)
     times = (np.arange(count) + 0.5 + rng.uniform(0.0, 1.0)) * period + rng.uniform(-0.05, 0.05, count) * period
-    return at_times(motion, times, start_ns, when, rng)
+    return at_times(flight, times, when, rng)
 
 
-def at_times(motion: Motion, times: Array, start_ns: int, when: Timing, rng: np.random.Generator) -> Samples:
+def at_times(flight: Flight, times: Array, when: Timing, rng: np.random.Generator) -> Samples:
     """The truth interpolated at these times [s since the start], with stamps and times of logging."""
     n = len(times)
-    stamps = start_ns + np.round(times * 1e6).astype(np.int64) * 1000  # whole microseconds
+    stamps = flight.start_ns + np.round(times * 1e6).astype(np.int64) * 1000  # whole microseconds
     delay = when.latency + when.jitter * rng.exponential(1.0, n)
     logged = stamps + np.round(delay * NS).astype(np.int64)
     kept = rng.random(n) >= when.drop
-    return Samples(times, _ints(stamps), _ints(logged), tuple(bool(k) for k in kept), interpolate(motion, times))
+    return Samples(times, _ints(stamps), _ints(logged), tuple(bool(k) for k in kept), interpolate(flight.motion, times))
 
 
 def _ints(values: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> tuple[int, ...]:
@@ -96,8 +99,7 @@ def angles(rotation: Array) -> Array:
 def quaternions(rpy: Array) -> Array:
     """Unit quaternions (n, 4), w >= 0, of roll, pitch, yaw (n, 3) [rad]."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy.T / 2.0), np.sin(rpy.T / 2.0)
-    q = np.stack(
-        [sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy],
-        axis=1,
-    )
+    x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+    z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
+    q = np.stack([x, y, z, w], axis=1)
     return np.asarray(q * np.where(q[:, 3:] < 0.0, -1.0, 1.0))

@@ -8,6 +8,7 @@ the lobe.  Beside the features echo patches of the bed, fish and bubbles, and th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +19,10 @@ from fbn_common.parameters import group, param
 from fbn_common.records import SonarDetection, SonarDetections
 from fbn_common.sonar import SonarArray
 from fbn_common.types import Array, Mat3, Vec3
-from fbn_sim.motion import Motion
+from fbn_sim.motion import Motion, interpolate
 from fbn_sim.randomness import generator
 from fbn_sim.sensors.clutter import Clutter, Scatterers
-from fbn_sim.sensors.sample import Entry, Timing, at_times, rotations, sample, timing
+from fbn_sim.sensors.sample import Entry, Flight, Timing, rotations, sample
 
 TOPIC = "sonar/detections"
 MARGIN = 0.06  # rad, beyond the nominal sector that is still looked at before noise
@@ -31,19 +32,21 @@ MARGIN = 0.06  # rad, beyond the nominal sector that is still looked at before n
 class Sonar:
     """Transmission, noise and imperfections that all arrays share; the arrays are mounted as ``SonarArray`` tells."""
 
-    timing: Timing = timing(1.0, 0.15, 0.08, 0.005)
+    timing: Timing = group(partial(Timing, 1.0, 0.15, 0.08, 0.005))
     arrays: dict[str, SonarArray] = group(dict)
     clutter: Clutter = group(Clutter)
-    level: float = param(31.5, "dB", "echo excess of the reference target at 10 m, on the axis of the lobe", "two of three scans see it")
+    level: float = param(
+        31.5, "dB", "echo excess of the reference target, 10 m off, amid the lobe", "two scans of three"
+    )
     absorption: float = param(0.15, "dB/m", "of sound, one way", "900 kHz in fresh water")
-    reverberation_limit: float = param(12.0, "dB", "echo excess is no better than this", "close by, reverberation rules")
+    reverberation_limit: float = param(12.0, "dB", "echo excess is no better", "close by, reverberation rules")
     fluctuation: float = param(4.0, "dB", "standard deviation from ping to ping", "Rayleigh-like")
     best_probability: float = param(0.85, "-", "chance that the detector keeps a strong echo", "assumed")
     range_noise: float = param(0.03, "m", "white noise of range", "3 cm, IROS 2007 II")
     range_step: float = param(0.025, "m", "quantisation of range", "assumed")
     bearing_noise: float = param(0.0165, "rad", "white noise of bearing", "1 deg together with the steps")
     bearing_step: float = param(0.0087, "rad", "quantisation of bearing", "0.5 deg beams")
-    target_size: float = param(0.03, "m", "standard deviation of the echo's place on the target, slow with aspect", "reflector of 0.3 m")
+    target_size: float = param(0.03, "m", "standard deviation of the echo's place on the target", "reflector of 0.3 m")
     sound_speed: float = param(1480.0, "m/s", "of the water", "fresh, 20 degC")
     sound_speed_error: float = param(0.001, "-", "standard deviation of the range's scale", "0.4 K of temperature")
     misalignment: float = param(0.007, "rad", "standard deviation of each array's mount, each axis", "0.4 deg")
@@ -108,15 +111,15 @@ def _insonified(
     return found
 
 
-def echoes(times: Array, motion: Motion, array: SonarArray, mount: Mat3, sound_speed: float, things: Scatterers) -> Array:
-    """Geometry (n, 6) of all that lies in the array's sector at the pings: columns as :class:`Echo`, free of noise."""
+def echoes(pings: Motion, array: SonarArray, mount: Mat3, sound_speed: float, things: Scatterers) -> Array:
+    """Geometry (n, 6) of all in the array's sector at the pings, free of noise; columns as :class:`Echo`."""
     limits = np.array([
         array.range_min, array.range_max, array.bearing_min - MARGIN, array.bearing_max + MARGIN,
         1.5 * array.lobe_width, sound_speed,
     ])  # fmt: skip
-    turns = np.ascontiguousarray(rotations(motion.orientation))
-    given = (times, motion.position, turns, motion.velocity, mount, array.position_base, limits)
-    out = np.empty((8 * len(times) + 64, 6))
+    turns = np.ascontiguousarray(rotations(pings.orientation))
+    given = (pings.time_s, pings.position, turns, pings.velocity, mount, array.position_base, limits)
+    out = np.empty((8 * len(pings.time_s) + 64, 6))
     found = _insonified(*given, things.places, things.drift, things.life, out)
     if found > len(out):
         out = np.empty((found, 6))
@@ -128,26 +131,28 @@ def excess(sonar: Sonar, array: SonarArray, seen: Array, things: Scatterers) -> 
     """Mean echo excess (n,) [dB] of rows of :func:`echoes`; positive is over the threshold."""
     source, r, theta, aspect = seen[:, 1].astype(np.int64), seen[:, 2], seen[:, 4], seen[:, 5]
     spread = 40.0 * np.log10(r / 10.0) + 2.0 * sonar.absorption * (r - 10.0)
-    strength = things.strength[source] + things.aspect_gain[source] * np.cos(things.aspect_order[source] * aspect + things.aspect_phase[source])
+    lobes = np.cos(things.aspect_order[source] * aspect + things.aspect_phase[source])
+    strength = things.strength[source] + things.aspect_gain[source] * lobes
     clear = np.minimum(sonar.level - spread, sonar.reverberation_limit)
     return np.asarray(clear + strength - 6.0 * (theta / (array.lobe_width / 2.0)) ** 4)
 
 
-def sonar_records(sonar: Sonar, motion: Motion, things: Scatterers, start_ns: int, seed: int) -> list[Entry]:
+def sonar_records(sonar: Sonar, things: Scatterers, flight: Flight) -> list[Entry]:
     """One record an array and ping, also when nothing was detected."""
-    rng = generator(seed, "sonar")
-    pings = sample(motion, start_ns, sonar.timing, rng)
+    rng = generator(flight.seed, "sonar")
+    pings = sample(flight, sonar.timing, rng)
     if not len(pings.time_s):
         return []
     wrong = sonar.stamp_offset * rng.standard_normal() + sonar.stamp_jitter * rng.standard_normal(len(pings.time_s))
-    truth = at_times(motion, pings.time_s + wrong, start_ns, sonar.timing, rng).motion
+    truth = interpolate(flight.motion, pings.time_s + wrong)
     scale = 1.0 + sonar.sound_speed_error * rng.standard_normal()
     entries: list[Entry] = []
     for name, array in sonar.arrays.items():
-        own = generator(seed, "sonar", name)
+        own = generator(flight.seed, "sonar", name)
         mount = array.rotation_base_array @ so3_exp(sonar.misalignment * own.standard_normal(3))
-        seen = echoes(pings.time_s + wrong, truth, array, np.ascontiguousarray(mount), sonar.sound_speed, things)
-        heard = np.concatenate([_heard(sonar, array, seen, things, scale, own), _noise(sonar, array, len(pings.time_s), own)])
+        seen = echoes(truth, array, np.ascontiguousarray(mount), sonar.sound_speed, things)
+        noise = _noise(sonar, array, len(pings.time_s), own)
+        heard = np.concatenate([_heard(sonar, array, seen, things, scale, own), noise])
         heard = heard[np.argsort(heard[:, 0], kind="stable")]
         bounds = np.searchsorted(heard[:, 0], np.arange(len(pings.time_s) + 1))
         for i, kept in enumerate(pings.kept):
@@ -211,6 +216,8 @@ def merged(heard: Array, near_range: float, near_bearing: float) -> list[list[fl
     return [g[:3] for g in groups]
 
 
-def _record(stamp_ns: int, name: str, ping: int, array: SonarArray, found: tuple[SonarDetection, ...]) -> SonarDetections:
+def _record(
+    stamp_ns: int, name: str, ping: int, array: SonarArray, found: tuple[SonarDetection, ...]
+) -> SonarDetections:
     sector = (array.range_min, array.range_max, array.bearing_min, array.bearing_max, array.lobe_width)
     return SonarDetections(stamp_ns, name, ping, *sector, found)
