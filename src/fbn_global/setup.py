@@ -16,7 +16,7 @@ setup(
     description=manifest.findtext("description"),
     license=manifest.findtext("license"),
     packages=find_packages(include=[name, f"{name}.*"]),
-    package_data={"": ["py.typed", "data/*"]},
+    package_data={"": ["py.typed", "data/**"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
         (share, ["package.xml"]),
