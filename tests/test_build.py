@@ -128,15 +128,10 @@ def test_ros_stays_in_nodes_the_adapter_and_the_harness() -> None:
     assert not intruders
 
 
-def test_only_nodes_and_the_command_line_use_the_adapter() -> None:
-    intruders = {
-        str(source.relative_to(ROOT))
-        for package in PYTHON_PACKAGES
-        if package.name not in {"fbn_ros", "fbn_testing", "fbn_bringup"}
-        for source in modules(package)
-        if source.name != "node.py" and "fbn_ros" in imports(source)
-    }
-    assert not intruders
+@pytest.mark.parametrize("name", sorted(ESTIMATORS))
+def test_of_an_estimator_only_the_node_uses_the_adapter(name: str) -> None:
+    users = {source.name for source in modules(ROOT / "src" / name) if "fbn_ros" in imports(source)}
+    assert users <= {"node.py"}
 
 
 def test_common_depends_on_no_other_package() -> None:
