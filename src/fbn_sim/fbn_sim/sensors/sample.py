@@ -69,7 +69,7 @@ def at_times(flight: Flight, times: Array, when: Timing, rng: np.random.Generato
     n = len(times)
     stamps = flight.start_ns + np.round(times * 1e6).astype(np.int64) * 1000  # whole microseconds
     delay = when.latency + when.jitter * rng.exponential(1.0, n)
-    logged = stamps + np.round(delay * NS).astype(np.int64)
+    logged = np.maximum.accumulate(stamps + np.round(delay * NS).astype(np.int64))  # a line delivers in order
     kept = rng.random(n) >= when.drop
     return Samples(times, _ints(stamps), _ints(logged), tuple(bool(k) for k in kept), interpolate(flight.motion, times))
 
