@@ -5,6 +5,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
+from fbn_common.lie import matrix_from_quaternion, quaternion_from_matrix
 from fbn_common.types import Array
 from fbn_tracking.composite import Part, marginalise
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
@@ -57,7 +58,7 @@ def handover(part: Part, last: int) -> Base:
     covariance[:4, :4] = part.covariance[6:10, 6:10]
     covariance[4:, 4:] = drift_prior(part.pings[last].motion)
     mean = np.concatenate((part.mean[6:10], np.zeros(3)))
-    return Base(part.poses[last], mean, 0.5 * (covariance + covariance.T), False)
+    return Base(orthonormal(part.poses[last]), mean, 0.5 * (covariance + covariance.T), False)
 
 
 def carried_values(window: Window, part: Part, last: int) -> gtsam.Values:
@@ -66,8 +67,15 @@ def carried_values(window: Window, part: Part, last: int) -> gtsam.Values:
     values.insert(DRIFT, window.drift())
     move = part.poses[last].compose(window.pose(last).inverse())
     for index in (i for i in window.pings if i >= last):
-        values.insert(pose_key(index), part.poses[last] if index == last else move.compose(window.pose(index)))
+        pose = part.poses[last] if index == last else move.compose(window.pose(index))
+        values.insert(pose_key(index), orthonormal(pose))
     return values
+
+
+def orthonormal(pose: gtsam.Pose3) -> gtsam.Pose3:
+    """The pose with its rotation made exact again: rounding grows with every product, from window to window."""
+    R = np.ascontiguousarray(pose.rotation().matrix())
+    return gtsam.Pose3(gtsam.Rot3(matrix_from_quaternion(quaternion_from_matrix(R))), pose.translation())
 
 
 def carry(
