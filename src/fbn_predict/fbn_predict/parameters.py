@@ -59,10 +59,10 @@ class Noise:
     """What the model leaves out, as the spread of velocity it keeps up; white acceleration of the same power."""
 
     velocity: Triple = param((0.02, 0.03, 0.03), "m/s", "standing error of velocity, body axes", "simulated turns and waves")
-    turn_rate: Triple = param((0.06, 0.04, 0.04), "rad/s", "standing error of turn rates", "trim and servo zeros")
-    surge: float = param(0.05, "m/s", "standard deviation of wave surge at the surface", "0.1 m waves")
+    turn_rate: Triple = param((0.1, 0.04, 0.04), "rad/s", "standing error of turn rates", "trim and servo zeros")
+    surge: float = param(0.12, "m/s", "standard deviation of wave surge at the surface", "waves of 0.25 m, 3 s")
     surge_time: float = param(1.0, "s", "correlation time of surge", "waves of 5 s")
-    surge_depth: float = param(1.5, "m", "depth over which surge falls by e", "waves of 10 m")
+    surge_depth: float = param(2.0, "m", "depth over which surge falls by e", "waves of 3 s: 14 m long")
     silence: float = param(0.5, "m/s", "standing error of velocity when actuators are silent", "the vehicle may have stopped")
     silence_turn: float = param(0.3, "rad/s", "standing error of turn rates then", "the rudder may be anywhere")
 

@@ -30,6 +30,8 @@ from fbn_common.types import Array, nanoseconds
 from fbn_reference.parameters import ReferenceParameters
 from fbn_reference.service import Gain
 
+_OF_POSITION, _USED = (int(Kind.POSITION), int(Kind.RANGE)), int(Verdict.USED)
+
 
 class Reference(MotionFilter):
     """EKF over pose, velocity and all 15 parameters, with GPS and ranges; errors of sensors are considered."""
@@ -52,7 +54,7 @@ class Reference(MotionFilter):
         for intake in self._beacons.values():
             intake.__post_init__()
         self._gain: Gain | None = None
-        self._fix_ns = self._parameters_ns = -1
+        self._fix_ns = self._settled_ns = self._parameters_ns = -1
 
     def config(self) -> Config:
         """The kernels' numbers."""
@@ -62,7 +64,9 @@ class Reference(MotionFilter):
         base.lever[Kind.POSITION], base.lever[Kind.RANGE] = gps.position, lbl.position
         base.lockout[Kind.RANGE] = lbl.lockout
         base.gate[1:, Kind.RANGE] = base.gate[1:, Kind.POSITION]
-        return base._replace(white=gps.white, surface_depth=gps.surface_depth, rule=gps.rule, drop_s=lbl.drop)
+        return base._replace(
+            white=gps.white, correlated=gps.correlated**2, surface_depth=gps.surface_depth, rule=gps.rule, drop_s=lbl.drop
+        )  # fmt: skip
 
     def position_variance(self) -> float:
         """Of x and y at the start [m^2]."""
@@ -170,11 +174,11 @@ class Reference(MotionFilter):
         """Follow the measurements of position that are settled; publish their information when it is worth it."""
         events, due = self.ekf.events, self.ekf.head_ns - nanoseconds(self.own.fix_delay)
         rows = events.rows
-        for slot in events.slots[: events.after(due)]:
-            position = rows.kind[slot] in (Kind.POSITION, Kind.RANGE)
-            if not position or int(rows.stamp[slot]) <= self._fix_ns or rows.verdict[slot] != Verdict.USED:
+        for slot in events.slots[events.after(self._settled_ns) : events.after(due)]:
+            self._settled_ns = int(rows.stamp[slot])
+            if int(rows.kind[slot]) not in _OF_POSITION or int(rows.verdict[slot]) != _USED:
                 continue
-            self._fix_ns = int(rows.stamp[slot])
+            self._fix_ns = self._settled_ns
             if self._gain is None:
                 row = rows.xy[slot]
                 self._gain = Gain(row[:2], np.array([[row[2], row[3]], [row[3], row[4]]]))

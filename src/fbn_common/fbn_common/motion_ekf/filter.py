@@ -133,7 +133,8 @@ class MotionFilter:
         lever[Kind.DEPTH] = p.depth.position
         return Config(
             self.estimated, SNAPSHOT_NS, walk, limit, tau, variance, p.compass.heading_scale, p.compass.dip,
-            p.depth.density_sigma / p.depth.bias, quantile_table(gates), lockout, lever, 1.0, 1.0, True, 60.0,
+            p.compass.wave_acceleration, p.compass.wave_depth,
+            p.depth.density_sigma / p.depth.bias, quantile_table(gates), lockout, lever, 1.0, 1.0, 1.0, True, 60.0,
         )  # fmt: skip
 
     def position_variance(self) -> float:

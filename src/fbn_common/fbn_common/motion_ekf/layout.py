@@ -118,11 +118,14 @@ class Config(NamedTuple):
     variance: Array  # (6,) their stationary variance
     heading_scale: float  # change of heading over which compass deviation decorrelates [rad]
     dip: float  # inclination of the earth's magnetic field [rad]
+    wave_acceleration: float  # standard deviation at the surface [m/s^2]
+    wave_depth: float  # depth over which it falls by e [m]
     depth_scale: float  # uncertainty of density, as a share of depth, over the bias's standard deviation [1/m]
     gate: Array  # (4, kinds) NIS gate by degrees of freedom and kind
     lockout: Array  # (kinds,) consecutive consistent outliers after which the gate resets
     lever: Array  # (kinds, 3) of the sensor in base_link [m]
-    white: float  # share of a fix's variance that is independent from fix to fix
+    white: float  # least share of a fix's variance that is independent from fix to fix
+    correlated: float  # most of a fix's variance that is not [m^2]
     surface_depth: float  # m, deeper than this no fix is believed
     rule: bool  # GPS rule on
     drop_s: float  # s, for how long a beacon that lies is not listened to

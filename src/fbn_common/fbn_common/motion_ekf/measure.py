@@ -37,11 +37,11 @@ _POSITION, _RANGE = int(Kind.POSITION), int(Kind.RANGE)
 
 @njit(cache=True)
 def _compass(
-    x: Array, data: Array, dip: float, nu: Array, noise: Array, columns: IntArray, h: Array
+    x: Array, data: Array, config: Config, nu: Array, noise: Array, columns: IntArray, h: Array
 ) -> tuple[int, int]:
     """``R_measured = Rz(deviation) R Exp(tilt + noise)``: 3 rows by rotation and the compass's own errors.
 
-    Its accelerometers take the centripetal acceleration for gravity, and the dipping field leaks into yaw.
+    Its accelerometers take the acceleration of turns and waves for gravity, and the dipping field leaks into yaw.
     """
     r, measured = rotation_of(x), data[0:9].reshape(3, 3)
     difference = np.zeros((3, 3))
@@ -61,9 +61,11 @@ def _compass(
                     noise[i, j] += r[k, i] * data[9 + 3 * k + m] * r[m, j]
     h[0, 3], h[1, 4] = 1.0, 1.0
     v = X_VELOCITY
-    upset = (x[v + 5] * x[v] - x[v + 3] * x[v + 2]) / GRAVITY
-    noise[0, 0] += upset**2
-    noise[2, 2] += (np.tan(dip) * upset) ** 2
+    turn = (x[v + 5] * x[v] - x[v + 3] * x[v + 2]) / GRAVITY
+    wave = config.wave_acceleration / GRAVITY * np.exp(min(x[2], 0.0) / config.wave_depth)
+    noise[0, 0] += turn**2 + wave**2
+    noise[1, 1] += wave**2
+    noise[2, 2] += np.tan(config.dip) ** 2 * (turn**2 + wave**2)
     return 3, 6
 
 
@@ -109,7 +111,8 @@ def _position(
     x: Array, data: Array, config: Config, nu: Array, noise: Array, columns: IntArray, h: Array
 ) -> tuple[int, int]:
     """``xy + (R lever)_xy + L bias``, ``L L'`` being the correlated part of the fix's covariance."""
-    correlated = 1.0 - config.white
+    xx, xy, yy = data[2], data[3], data[4]
+    correlated = min(1.0 - config.white, 2.0 * config.correlated / (xx + yy))
     for i in range(2):
         offset = _lever_rows(x, config.lever[_POSITION], h, i, i, 2)
         nu[i] = data[i] - x[i] - offset
@@ -117,11 +120,10 @@ def _position(
         columns[5 + i] = GPS + i
     for i in range(3):
         columns[2 + i] = ROTATION + i
-    xx, xy, yy = data[2], data[3], data[4]
     noise[0, 0], noise[0, 1], noise[1, 0], noise[1, 1] = xx, xy, xy, yy
     for i in range(2):
         for j in range(2):
-            noise[i, j] *= config.white
+            noise[i, j] *= 1.0 - correlated
     a = np.sqrt(xx)
     h[0, 5], h[1, 5] = np.sqrt(correlated) * a, np.sqrt(correlated) * xy / a
     h[1, 6] = np.sqrt(correlated * max(yy - xy * xy / xx, 0.0))
@@ -150,7 +152,7 @@ def model(
 ) -> tuple[int, int]:
     """The model of a kind of measurement; ``h`` comes zeroed.  Gives the numbers of rows and of columns."""
     if kind == _COMPASS:
-        return _compass(x, data, config.dip, nu, noise, columns, h)
+        return _compass(x, data, config, nu, noise, columns, h)
     if kind == _DEPTH:
         return _depth(x, data, config, nu, noise, columns, h)
     if kind == _CLIMB:

@@ -40,6 +40,8 @@ class CompassParameters(SensorParameters):
     time_constant: float = param(600.0, "s", "correlation time of deviation", "warming up")
     tilt_time_constant: float = param(1e5, "s", "correlation time of tilt", "a mount does not move")
     heading_scale: float = param(1.0, "rad", "change of heading over which deviation decorrelates", "once a circle: sine")
+    wave_acceleration: float = param(0.3, "m/s^2", "standard deviation at the surface, taken for gravity", "waves of 0.25 m, 3 s")
+    wave_depth: float = param(2.0, "m", "depth over which it falls by e", "waves of 3 s")
     dip: float = param(1.18, "rad", "inclination of the earth's field: acceleration tilts the vertical and turns yaw", "68 deg")
 
 
@@ -92,7 +94,7 @@ class WalkParameters:
     angular_actuation: float = param(0.1, "rad/s^2", "per root hour", "a servo horn slips, a trim changes")
     damping: float = param(0.1, "-", "relative to 0.27 and 1.5 1/s, per root hour", "weed")
     thrust: float = param(0.02, "m/s^2", "per root hour", "battery, propeller")
-    water: float = param(0.12, "m/s", "per root hour, east and north", "tide: 0.3 m/s in 6 h")
+    water: float = param(0.06, "m/s", "per root hour, east and north", "tide: 0.3 m/s in 6 h, over minutes")
     water_limit: float = param(0.5, "m/s", "standard deviation at which the water's walk ends", "coastal")
 
 

@@ -24,6 +24,9 @@ def usable_covariance(covariance: Array, sigma_unknown: float, sigma_min: float)
         raise Unusable("covariance is not finite")
     if not np.any(covariance):
         return np.eye(len(covariance)) * sigma_unknown**2
+    diagonal = np.diagonal(covariance)
+    if np.count_nonzero(covariance) == np.count_nonzero(diagonal) and diagonal.min() >= 0.0:
+        return np.diag(np.maximum(diagonal, sigma_min**2))
     c = 0.5 * (covariance + covariance.T)
     values, vectors = np.linalg.eigh(c)
     if values[0] < -1e-9 * max(abs(values[-1]), 1e-12):
