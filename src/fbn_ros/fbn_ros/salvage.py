@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from io import BufferedReader
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.storage_mcap import McapReader
 
 _MAGIC = b"\x89MCAP0\r\n"
+DISORDER = 2000  # messages
 _DATA_END, _FOOTER = 0x0F, 0x02
 
 
@@ -38,12 +40,23 @@ class Salvaged:
         by_topic = {c.topic: c for c in connections}
         for reader in self._readers:
             wanted = [c for c in reader.connections if c.topic in by_topic]
-            for connection, log_time_ns, data in reader.messages(wanted):
+            for log_time_ns, _, connection, data in _sorted(reader.messages_scan(wanted)):
                 yield by_topic[connection.topic], log_time_ns, data
 
     def close(self) -> None:
         for reader in self._readers:
             reader.close()
+
+
+def _sorted(messages: Iterable[tuple[Connection, int, bytes]]) -> Iterator[tuple[int, int, Connection, bytes]]:
+    """In order of time, where no message is written later than so many others that are younger."""
+    waiting: list[tuple[int, int, Connection, bytes]] = []
+    for place, (connection, log_time_ns, data) in enumerate(messages):
+        heapq.heappush(waiting, (log_time_ns, place, connection, data))
+        if len(waiting) > DISORDER:
+            yield heapq.heappop(waiting)
+    while waiting:
+        yield heapq.heappop(waiting)
 
 
 def salvage(files: list[Path]) -> Salvaged:
