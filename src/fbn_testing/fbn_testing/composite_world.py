@@ -55,7 +55,8 @@ class Settings:
     feature_sigma: float = 0.3  # m
     fix_sigma: float = 2.0  # m, one slowly varying error all along
     fix_every: int = 0  # windows; 0: only before the first
-    map_sigma: float = 5.0
+    map_sigma: float = 5.0  # as the map states it
+    map_error: float = 5.0  # as it is drawn
     map_length: float = 1000.0
     map_own: float = 0.5
     missing: float = 0.0  # fraction of features that the map lacks
@@ -82,7 +83,7 @@ def draw_map(s: Settings, rng: np.random.Generator) -> tuple[PriorMap, Array]:
     places = np.vstack([s.features[kept], np.column_stack([rng.uniform(low, high, (extra, 2)), np.full(extra, -4.0)])])
     ids = [*kept.tolist(), *(1000 + k for k in range(extra))]
     distance = np.sqrt(((places[:, None, :2] - places[None, :, :2]) ** 2).sum(axis=2))
-    root = np.linalg.cholesky(s.map_sigma**2 / (1 + distance / s.map_length) + s.map_own**2 * np.eye(len(ids)))
+    root = np.linalg.cholesky(s.map_error**2 / (1 + distance / s.map_length) + s.map_own**2 * np.eye(len(ids)))
     stated = places.copy()
     stated[:, :2] += root @ rng.standard_normal((len(ids), 2)) + np.array(s.map_shift)
     stated[:, 2] += 0.5 * rng.standard_normal(len(ids))

@@ -1,0 +1,232 @@
+"""The global filter as a whole: verdicts on drawn worlds, what is refused, and that nothing is invented."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fbn_common.estimator import Output
+from fbn_common.prior_map import PriorMap
+from fbn_common.records import (
+    CompositeMeasurement,
+    FeatureMap,
+    Innovation,
+    Localization,
+    LocalizationStatus,
+    MatchHypotheses,
+    Odometry,
+    PoseWithCovarianceStamped,
+    Record,
+    ReferenceFix,
+    Verdict,
+)
+from fbn_common.types import NS
+from fbn_global.estimator import Global
+from fbn_global.parameters import GlobalParameters
+from fbn_testing.composite_world import Run, Settings, World, charles_river
+from fbn_testing.matching_study import elsewhere, is_right, play, rows_world
+
+LEGS = ((-40.0, 5.0), (80.0, 5.0), (80.0, 35.0), (40.0, 35.0))
+
+
+def river(seed: int = 5, **changes: Any) -> Run:
+    return World(replace(Settings(charles_river(seed), LEGS, seed=seed), **changes)).make()
+
+
+def feed(estimator: Global, entries: Iterable[tuple[str, Record]]) -> list[Output]:
+    outputs: list[Output] = []
+    for topic, record in entries:
+        estimator.put(topic, record)
+        outputs += estimator.advance(record.stamp_ns)
+    return outputs
+
+
+def of(outputs: list[Output], kind: type[Any]) -> list[Any]:
+    return [o.record for o in outputs if isinstance(o.record, kind)]
+
+
+def flat(outputs: list[Output]) -> bytes:
+    """All numbers of all records, bit by bit."""
+
+    def numbers(value: Any) -> bytes:
+        if isinstance(value, np.ndarray):
+            return value.tobytes()
+        if isinstance(value, tuple):
+            return b"".join(map(numbers, value))
+        if hasattr(value, "__dataclass_fields__"):
+            return b"".join(numbers(getattr(value, name)) for name in value.__dataclass_fields__)
+        return repr(value).encode()
+
+    return b"".join(o.topic.encode() + numbers(o.record) for o in outputs)
+
+
+def test_a_run_through_the_field_is_matched_rightly_and_the_target_is_near_its_place() -> None:
+    run = river()
+    outputs = feed(Global(GlobalParameters(), run.prior), run.entries)
+    status, hypotheses = of(outputs, LocalizationStatus)[-1], of(outputs, MatchHypotheses)[-1]
+    assert status.state is Localization.MATCHED
+    assert is_right(hypotheses, 0, run)
+    target = charles_river(5)[status.target_id]
+    truth = run.truth[hypotheses.stamp_ns]
+    away = np.hypot(*(target[:2] - truth[:2]))
+    # relative to the vehicle the target is known to its own map error (0.5 m) and the track's: 1.5 m is 2.5 sigma
+    assert abs(status.target_range - np.hypot(away, target[2] - truth[2])) < 1.5
+    assert 0.0 < np.sqrt(np.trace(status.target_covariance_body)) < 3.0
+
+
+def test_the_map_shifts_as_a_whole_with_the_vehicle() -> None:
+    """The map lies 9 m off and dead reckoning starts within 2 m: after matching all features have moved by 9 m."""
+    run = river(map_error=0.2, map_shift=(-9.0, 0.0))
+    outputs = feed(Global(GlobalParameters(), run.prior), run.entries)
+    features = [f for f in of(outputs, FeatureMap)[-1].features if f.prior]
+    moved = np.array([f.position[:2] - charles_river(5)[f.id][:2] for f in features])
+    assert np.abs(moved - moved.mean(axis=0)).max() < 2.0  # 0.5 m each, drawn independently: 4 sigma
+    assert np.hypot(*moved.mean(axis=0)) < 5.0  # the fix's 2 m against the map's 9
+
+
+def test_the_map_of_another_place_stays_unmatched() -> None:
+    outcomes = [play(elsewhere(0), GlobalParameters())]
+    assert not any(o.matched_ever for o in outcomes)
+
+
+def test_in_a_regular_field_joint_compatibility_locks_on_the_wrong_row_where_naps_does_not() -> None:
+    """The map lies 12 m off in rows 20 m apart: the wrong row is 8 m away, the nearer; only what was not seen tells."""
+    runs = [World(rows_world(seed, 12.0, 5)).make() for seed in range(4)]
+    jcbb = [play(run, GlobalParameters(method="JCBB")) for run in runs]
+    naps = [play(run, GlobalParameters()) for run in runs]
+    assert sum(o.wrong_ever for o in jcbb) >= 2
+    assert not any(o.wrong_ever for o in naps)
+
+
+def test_without_a_map_it_navigates_and_says_so() -> None:
+    run = river()
+    outputs = feed(Global(GlobalParameters()), run.entries)
+    assert of(outputs, LocalizationStatus)[-1].reason == "no prior map"
+    assert of(outputs, PoseWithCovarianceStamped)
+
+
+def test_before_the_first_fix_no_pose_is_published_and_nothing_is_matched() -> None:
+    run = river()
+    outputs = feed(Global(GlobalParameters(), run.prior), [e for e in run.entries if e[0] != "reference/fix"])
+    assert not of(outputs, PoseWithCovarianceStamped)
+    assert not of(outputs, Odometry)
+    assert {s.state for s in of(outputs, LocalizationStatus)} == {Localization.UNMATCHED}
+
+
+def test_the_same_log_gives_the_same_bits_whatever_the_order_of_arrival_within_a_step() -> None:
+    run = river()
+    results = []
+    for turn in (1, -1):
+        estimator, outputs = Global(GlobalParameters(), run.prior), []
+        for t in range(100 * NS, 190 * NS, NS):
+            for topic, record in [e for e in run.entries if t < e[1].stamp_ns + NS <= t + NS][::turn]:
+                estimator.put(topic, record)
+            outputs += estimator.advance(t)
+        results.append(flat(outputs))
+    assert len(results[0]) > 10_000
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("crossings", [6, pytest.param(100, marks=pytest.mark.campaign)])
+def test_covariances_stay_positive_definite_over_hours(crossings: int) -> None:
+    """Back and forth, 100 s each (in the campaign for close to three hours), with a fix every half hour."""
+    legs = tuple((80.0 * (k % 2), 20.0) for k in range(crossings))
+    run = river(legs=legs, seed=7, fix_every=150)
+    estimator = Global(GlobalParameters(), run.prior)
+    for topic, record in run.entries:
+        estimator.put(topic, record)
+        if topic != "deadreck/odometry":
+            estimator.advance(record.stamp_ns)
+    assert estimator._bank is not None
+    for h in estimator._bank.all:
+        spread = np.sqrt(np.diag(h.state.covariance))
+        correlation = h.state.covariance / np.outer(spread, spread)
+        assert np.linalg.eigvalsh(correlation)[0] > 0.0
+        assert len(h.state.mean) < 400
+
+
+def test_repeated_fixes_do_not_make_it_surer_than_one_fix() -> None:
+    run = river(fix_every=1)
+    outputs = feed(Global(GlobalParameters()), run.entries)
+    fixes = [i for i in of(outputs, Innovation) if i.sensor == "reference_fix"]
+    variances = [p.covariance[0, 0] for p in of(outputs, PoseWithCovarianceStamped)]
+    assert {i.verdict for i in fixes} == {Verdict.USED, Verdict.REFUSED}
+    # a fix is used only when the filter is worse than it, 2 m: together they are no better than 2 m / sqrt(2)
+    assert min(variances) > 0.99 * 2.0
+
+
+@pytest.mark.parametrize("lost", [3, 6])
+def test_a_lost_composite_is_bridged_and_said_so(lost: int) -> None:
+    run = river(clutter=0.0)
+    entries = [e for e in run.entries if not (isinstance(e[1], CompositeMeasurement) and e[1].sequence == lost)]
+    outputs = feed(Global(GlobalParameters()), entries)
+    assert any("bridged" in i.reason for i in of(outputs, Innovation))
+    last = of(outputs, PoseWithCovarianceStamped)[-1]
+    error = last.pose.position - run.truth[last.stamp_ns][:3]
+    spread = last.covariance[:2, :2]
+    assert error[:2] @ np.linalg.solve(spread, error[:2]) < 13.8  # 99.9 % of chi-square 2
+
+
+def test_a_composite_seen_before_is_refused_by_reason_and_changes_nothing() -> None:
+    run = river()
+    composites = [e for e in run.entries if isinstance(e[1], CompositeMeasurement)]
+    estimator = Global(GlobalParameters(), run.prior)
+    feed(estimator, run.entries)
+    before = flat([Output("", h.state) for h in estimator._bank.all])  # type: ignore[union-attr, arg-type]
+    estimator.put(*composites[3])
+    outputs = estimator.advance(run.entries[-1][1].stamp_ns)
+    refused = [i for i in of(outputs, Innovation) if i.verdict is Verdict.REFUSED]
+    assert "covered already" in refused[0].reason
+    assert before == flat([Output("", h.state) for h in estimator._bank.all])  # type: ignore[union-attr, arg-type]
+
+
+@pytest.mark.parametrize("bad", ["nan", "inf", "negative", "asymmetric"])
+def test_a_broken_fix_is_refused_and_counted(bad: str) -> None:
+    covariance = {
+        "nan": np.full((2, 2), np.nan),
+        "inf": np.full((2, 2), np.inf),
+        "negative": -np.eye(2),
+        "asymmetric": np.array([[1.0, 0.9], [0.0, 1.0]]),
+    }[bad]
+    estimator = Global(GlobalParameters())
+    estimator.put("reference/fix", ReferenceFix(NS, "map", np.zeros(2), covariance))
+    answers = of(estimator.advance(2 * NS), Innovation)
+    assert [a.verdict for a in answers] == [Verdict.REFUSED]
+    assert estimator.health().values["count reference/fix refused"] == 1
+
+
+def test_a_fix_waits_for_the_odometry_of_its_time_and_is_refused_without() -> None:
+    estimator = Global(GlobalParameters())
+    estimator.put("reference/fix", ReferenceFix(NS, "map", np.zeros(2), np.eye(2)))
+    assert not of(estimator.advance(2 * NS), Innovation)
+    assert "no odometry" in of(estimator.advance(10 * NS), Innovation)[0].reason
+
+
+def test_a_clock_that_goes_back_starts_it_anew() -> None:
+    run = river()
+    estimator = Global(GlobalParameters(), run.prior)
+    feed(estimator, run.entries)
+    outputs = estimator.advance(50 * NS)
+    assert "clock went back" in of(outputs, Innovation)[0].reason
+    again = feed(estimator, run.entries)
+    assert of(again, LocalizationStatus)[-1].state is Localization.MATCHED
+
+
+def test_no_number_published_is_not_a_number() -> None:
+    run = river()
+    for output in feed(Global(GlobalParameters(), run.prior), run.entries):
+        record = output.record
+        for name in record.__dataclass_fields__:
+            value = getattr(record, name)
+            if isinstance(value, np.ndarray | float):
+                assert np.isfinite(value).all(), (output.topic, name)
+
+
+def test_an_empty_map_matches_nothing() -> None:
+    run = river()
+    outputs = feed(Global(GlobalParameters(), PriorMap(())), run.entries)
+    assert {s.state for s in of(outputs, LocalizationStatus)} == {Localization.UNMATCHED}
