@@ -79,7 +79,12 @@ def topic_page() -> str:
     groups += [(f"From {n.name}", [GRAPH.topics[t] for t in n.outputs]) for n in GRAPH.nodes]
     groups += [("From the simulator; no estimator takes them", list(SIMULATOR_TOPICS))]
     for title, topics in groups:
-        lines += [f"## {title}", "", "| topic | type | QoS | taken by | what |", "| --- | --- | --- | --- | --- |"]
+        lines += [
+            f"## {title}",
+            "",
+            "| topic | type | QoS | taken by | what | without it |",
+            "| --- | --- | --- | --- | --- | --- |",
+        ]
         lines += [_topic_row(t) for t in topics] + [""]
     return "\n".join(lines)
 
@@ -92,7 +97,7 @@ def takers(topic: str) -> list[str]:
 def _topic_row(t: Topic) -> str:
     taken = ", ".join(name.removeprefix("fbn_") for name in takers(t.name)) or "–"
     kind = t.ros_type.replace("/msg/", "/")
-    return f"| `{t.name}` | `{kind}` | {t.qos.name.lower()}, {t.depth} | {taken} | {_cell(t.about)} |"
+    return f"| `{t.name}` | `{kind}` | {t.qos.name.lower()}, {t.depth} | {taken} | {_cell(t.about)} | {_cell(t.without or '–')} |"
 
 
 def _qos() -> dict[str, str]:

@@ -46,7 +46,15 @@ def progress(title: str) -> Iterator[Advance]:
 
 def table(title: str, *columns: str, left: int = 1) -> Table:
     """A table in the house style: the first ``left`` columns to the left, numbers to the right."""
-    made = Table(title=title, title_justify="left", title_style="bold", header_style="dim", box=None, pad_edge=False)
+    made = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        header_style="dim",
+        box=None,
+        pad_edge=False,
+        caption_justify="left",
+    )
     for i, column in enumerate(columns):
         made.add_column(column, justify="left" if i < left else "right")
     return made

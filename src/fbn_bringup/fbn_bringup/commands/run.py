@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
 from fbn_bringup.commands import options as o
@@ -15,7 +17,7 @@ ros2 launch fbn_bringup fbn.launch.py.
 Examples:
 
   fbn run --params ranger.yaml --map field.geojson
-  fbn run --namespace ranger --params ranger.yaml
+  fbn run --network --namespace ranger  # other hosts may listen
   fbn run --only predict,deadreck  # dead reckoning alone
 """
 
@@ -26,6 +28,9 @@ def run(
     prior_map: o.Map = None,
     namespace: o.Namespace = "",
     only: o.Only = "",
+    network: Annotated[bool, typer.Option("--network", help="Let other hosts of the subnet find the nodes.")] = False,
+    sim_time: Annotated[bool, typer.Option("--sim-time", help="Time from /clock instead of the host's.")] = False,
+    log_level: Annotated[str, typer.Option(metavar="LEVEL", help="debug, info, warn or error.")] = "info",
 ) -> None:
     from fbn_bringup.live import run_live
 
@@ -34,5 +39,8 @@ def run(
         namespace=namespace.strip("/"),
         overrides=o.overrides(settings, prior_map),
         only=o.nodes(only),
+        network=network,
+        use_sim_time=sim_time,
+        log_level=log_level,
     )
     raise typer.Exit(code)

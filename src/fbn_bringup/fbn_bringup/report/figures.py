@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 from fbn_bringup.evaluation.consistency import chi2_bound
 from fbn_bringup.evaluation.evaluate import ErrorTracks
 from fbn_bringup.evaluation.run import Run
-from fbn_bringup.evaluation.series import Innovations, Track
+from fbn_bringup.evaluation.series import Innovations, Stamps, Track
 from fbn_bringup.report import layers as ly
 from fbn_bringup.report import style as st
 from fbn_common import records as r
@@ -33,8 +33,8 @@ def styled(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
         margin=dict(l=64, r=24, t=36, b=52), hoverlabel=dict(font_family=st.FONT),
         legend=dict(bgcolor="rgba(255,255,255,0.85)", groupclick="togglegroup", tracegroupgap=2), **layout,
     )  # fmt: skip
-    figure.update_xaxes(**axis)
-    figure.update_yaxes(**axis)
+    figure.update_xaxes(**axis, title_font_size=13)
+    figure.update_yaxes(**axis, title_font_size=13)
     return figure
 
 
@@ -117,8 +117,8 @@ def _add_features(figure: go.Figure, layers: ly.MapLayers) -> None:
 
 
 def _add_pose_ellipses(figure: go.Figure, layers: ly.MapLayers, each: int = 30) -> None:
-    """The vehicle's own uncertainty along two of the paths, every half minute; the reference's off at first."""
-    for topic, visible in (("reference/odometry", "legendonly"), ("global/odometry", True)):
+    """The vehicle's own uncertainty along two of the paths, every half minute; off at first."""
+    for topic, visible in (("reference/odometry", "legendonly"), ("global/odometry", "legendonly")):
         if topic in layers.paths:
             some = layers.paths[topic].where(np.arange(0, len(layers.paths[topic]), each))
             outlines = [ly.ellipse(p[:2], c[:2, :2]) for p, c in zip(some.position, some.covariance, strict=True)]
@@ -159,12 +159,21 @@ def _map_buttons(figure: go.Figure) -> dict[str, Any]:
 
 
 def shade_dives(figure: go.Figure, run: Run, rows: int, columns: int = 1) -> None:
-    """A tint behind the times under water."""
-    for leg in run.legs():
-        x0, x1 = ly.minutes(run, np.array([leg.start_ns, leg.end_ns]))
-        for row in range(1, rows + 1):
-            for column in range(1, columns + 1):
-                figure.add_vrect(x0=x0, x1=x1, fillcolor=st.DIVE, line_width=0, layer="below", row=row, col=column)
+    """A tint behind the times under water, in every subplot."""
+    spans = [ly.minutes(run, np.array([leg.start_ns, leg.end_ns])) for leg in run.legs()]
+    if rows * columns > 1:
+        cells = [figure.get_subplot(row + 1, column + 1) for row in range(rows) for column in range(columns)]
+        axes = [(_anchor(cell.xaxis.plotly_name), _anchor(cell.yaxis.plotly_name)) for cell in cells]
+    else:
+        axes = [("x", "y")]
+    tint = dict(type="rect", y0=0, y1=1, fillcolor=st.DIVE, line_width=0, layer="below")
+    tints = [dict(tint, xref=x, yref=f"{y} domain", x0=a, x1=b) for x, y in axes for a, b in spans]
+    figure.update_layout(shapes=[*figure.layout.shapes, *tints])
+
+
+def _anchor(plotly_name: str) -> str:
+    """``xaxis2`` is referred to as ``x2``."""
+    return plotly_name.replace("axis", "")
 
 
 def error_figure(run: Run, tracks: ErrorTracks) -> go.Figure | None:
@@ -181,7 +190,7 @@ def error_figure(run: Run, tracks: ErrorTracks) -> go.Figure | None:
         _add_band(figure, band, i // 2 + 1, i % 2 + 1, i == 0)
     shade_dives(figure, run, rows, 2)
     figure.update_xaxes(title_text="minutes since start", row=rows)
-    return quiet_titles(styled(figure, 110 + 190 * rows, hovermode="x"))
+    return legend_above(quiet_titles(styled(figure, 130 + 190 * rows, hovermode="x")))
 
 
 def _add_band(figure: go.Figure, band: ly.Band, row: int, column: int, legend: bool) -> None:
@@ -214,6 +223,13 @@ def _limit(figure: go.Figure, band: ly.Band, row: int, column: int) -> None:
 
 def quiet_titles(figure: go.Figure) -> go.Figure:
     figure.update_annotations(font=dict(size=13, color=st.INK))
+    return figure
+
+
+def legend_above(figure: go.Figure) -> go.Figure:
+    """The legend in a line over the plots, which then have the page's whole width."""
+    above = dict(orientation="h", x=0, xanchor="left", y=1, yanchor="bottom", yref="container")
+    figure.update_layout(legend=above | dict(y=0.995, yanchor="top"), margin_t=84)
     return figure
 
 
@@ -273,15 +289,17 @@ def innovation_figure(run: Run) -> go.Figure | None:
     _add_verdict_legend(figure)
     shade_dives(figure, run, n, 2)
     figure.update_xaxes(title_text="minutes since start", row=n)
-    return quiet_titles(styled(figure, 110 + 175 * n))
+    return legend_above(quiet_titles(styled(figure, 130 + 175 * n)))
 
 
 def _add_innovations(figure: go.Figure, run: Run, table: Innovations, row: int) -> None:
     some = ly.shown(table)
     time = ly.minutes(run, table.stamp_ns)
+    limit = 0.0
     for k in range(int(table.dof.max(initial=0))):
         values, sigma, have = ly.component(table, k)
         keep = np.isin(have, some)
+        limit = max(limit, ly.innovation_limit(values, sigma))
         shade = go.Scatter(
             x=rounded(time[have[keep]]), y=rounded(3 * sigma[keep], 5), mode="lines", showlegend=False, hoverinfo="skip",
             line=dict(color=st.faded(st.CYCLE[k % 8], 0.55), width=1, dash="dot"),
@@ -294,21 +312,25 @@ def _add_innovations(figure: go.Figure, run: Run, table: Innovations, row: int) 
             go.Scatter(x=rounded(time[have[keep]]), y=rounded(values[keep], 5), mode="markers", marker=dots, name=label, showlegend=False),
             row, 1,
         )  # fmt: skip
+    if limit > 0.0:
+        figure.update_yaxes(range=[-limit, limit], row=row, col=1)
     _add_nis(figure, time[some], table, some, row)
 
 
-def _add_nis(figure: go.Figure, time: Array, table: Innovations, some: Array, row: int) -> None:
-    nis = np.maximum(np.nan_to_num(table.nis[some], nan=1e-3), 1e-3)
-    colours = [st.VERDICTS[r.Verdict(int(v)).name] for v in table.verdict[some]]
-    text = [f"{r.Verdict(int(table.verdict[i])).name} {table.reason[i]}" for i in some]
+def _add_nis(figure: go.Figure, time: Array, table: Innovations, some: Stamps, row: int) -> None:
+    values = ly.nis_to_draw(table)[some]
+    drawn, when, nis = some[np.isfinite(values)], time[np.isfinite(values)], values[np.isfinite(values)]
+    colours = [st.VERDICTS[r.Verdict(int(v)).name] for v in table.verdict[drawn]]
+    text = [f"{r.Verdict(int(table.verdict[i])).name} {table.reason[i]}" for i in drawn]
     dots = go.Scatter(
-        x=rounded(time), y=rounded(nis), mode="markers", marker=dict(size=3.5, color=colours), text=text,
+        x=rounded(when), y=rounded(nis), mode="markers", marker=dict(size=3.5, color=colours), text=text,
         hovertemplate="NIS %{y:.2f}<br>%{text}<extra></extra>", showlegend=False,
     )  # fmt: skip
     figure.add_trace(dots, row, 2)
-    dof = int(np.median(table.dof[table.dof > 0])) if (table.dof > 0).any() else 0
+    dof = ly.usual_dof(table)
     if dof:
-        figure.add_hline(y=float(chi2_bound(0.95, dof)), line=dict(color=st.INK, width=1, dash="dash"), row=row, col=2)
+        bound = float(chi2_bound(0.95, dof))
+        figure.add_hline(y=bound, line=dict(color=st.INK, width=1, dash="dash"), row=row, col=2)
     figure.update_yaxes(type="log", row=row, col=2)
 
 

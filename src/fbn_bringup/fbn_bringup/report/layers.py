@@ -179,3 +179,35 @@ def shown(table: Innovations, most: int = MOST) -> Stamps:
     refused = np.flatnonzero(table.verdict != r.Verdict.USED)
     used = np.flatnonzero(table.verdict == r.Verdict.USED)
     return np.sort(np.concatenate([refused[thinned(len(refused), most)], used[thinned(len(used), most)]]))
+
+
+def innovation_limit(values: Array, sigma: Array) -> float:
+    """Half the height of an axis that shows a sensor's innovations, but not the huge sigma before a first fix."""
+    if not len(values):
+        return 0.0
+    return float(max(1.2 * np.quantile(np.abs(values), 0.995), 4.0 * np.median(sigma)))
+
+
+NIS_FLOOR = 1e-3  # drawn values; on a logarithmic axis zero has no place
+
+
+def nis_to_draw(table: Innovations) -> Array:
+    """NIS (n,) for a logarithmic axis: at least the floor, where refused data lie; NaN where there was nothing to test."""
+    nis = np.maximum(np.nan_to_num(table.nis, nan=NIS_FLOOR), NIS_FLOOR)
+    untested = (table.dof == 0) & (table.verdict == r.Verdict.USED)
+    return np.where(untested | ((table.nis == 0.0) & (table.verdict == r.Verdict.USED)), np.nan, nis)
+
+
+def usual_dof(table: Innovations) -> int:
+    """The degrees of freedom that most of a sensor's innovations have; 0 if none was tested."""
+    tested = table.dof[table.dof > 0]
+    return int(np.median(tested)) if len(tested) else 0
+
+
+def extent(layers: MapLayers) -> tuple[float, float]:
+    """Width and height [m] of all that the map shows."""
+    points = [t.position[:, :2] for t in layers.paths.values()]
+    points += [p.xy for p in (layers.prior, layers.estimated, layers.true_features) if p is not None]
+    everything = np.concatenate([p for p in points if len(p)] or [np.zeros((1, 2))])
+    width, height = np.ptp(everything, axis=0)
+    return max(float(width), 1.0), max(float(height), 1.0)

@@ -11,7 +11,17 @@ from plotly.subplots import make_subplots
 from fbn_bringup.evaluation.run import Run
 from fbn_bringup.report import layers as ly
 from fbn_bringup.report import style as st
-from fbn_bringup.report.figures import GAP, base, line, markers, quiet_titles, rounded, shade_dives, styled
+from fbn_bringup.report.figures import (
+    GAP,
+    base,
+    legend_above,
+    line,
+    markers,
+    quiet_titles,
+    rounded,
+    shade_dives,
+    styled,
+)
 from fbn_bringup.report.overlay import Overlay, hypothesis_lines, overlays
 from fbn_common import records as r
 from fbn_common.graph import GRAPH
@@ -45,7 +55,7 @@ def hypothesis_figure(run: Run) -> go.Figure | None:
     figure.update_yaxes(rangemode="tozero", row=3)
     shade_dives(figure, run, 3)
     figure.update_xaxes(title_text="minutes since start", row=3)
-    return quiet_titles(styled(figure, 560))
+    return legend_above(quiet_titles(styled(figure, 600)))
 
 
 def _add_states(figure: go.Figure, run: Run) -> None:
@@ -142,7 +152,7 @@ def tracking_figure(run: Run) -> go.Figure | None:
         )
     shade_dives(figure, run, 2)
     figure.update_xaxes(title_text="minutes since start", row=2)
-    return quiet_titles(styled(figure, 420))
+    return legend_above(quiet_titles(styled(figure, 450)))
 
 
 def latency_figure(run: Run) -> go.Figure | None:
@@ -151,6 +161,7 @@ def latency_figure(run: Run) -> go.Figure | None:
     if not topics:
         return None
     q = np.array([np.quantile(run.traffic[t].latency, [0.05, 0.5, 0.95]) * 1e3 for t in topics])
+    q = np.maximum(q, 1.0)  # on a logarithmic axis
     figure = base(90 + 24 * len(topics), xaxis_title="from measurement to log [ms]", hovermode="closest")
     error = dict(
         type="data",
@@ -166,4 +177,5 @@ def latency_figure(run: Run) -> go.Figure | None:
         x=rounded(q[:, 1]), y=topics, mode="markers", error_x=error, text=text, marker=dict(size=8, color=colours),
         hovertemplate="%{y}: median %{x:.0f} ms<br>%{text}<extra></extra>", showlegend=False))  # fmt: skip
     figure.update_yaxes(autorange="reversed", ticksuffix=" ", gridcolor="white")
+    figure.update_xaxes(type="log")
     return figure

@@ -31,7 +31,7 @@ nav {{ margin: 10px 0 0 }} nav a {{ color: #0b69a3; text-decoration: none; margi
 .cards {{ display: flex; flex-wrap: wrap; gap: 12px; margin-top: 18px }}
 .card {{ background: white; border: 1px solid {st.GRID}; border-radius: 10px; padding: 12px 18px; min-width: 150px; flex: 1 }}
 .card b {{ display: block; font-size: 24px; font-variant-numeric: tabular-nums }} .card span {{ color: #52606d; font-size: 13px }}
-.scroll {{ overflow-x: auto }}
+.scroll {{ overflow-x: auto; margin: 14px 0 6px }}
 table {{ border-collapse: collapse; width: 100%; font-size: 14px; font-variant-numeric: tabular-nums }}
 caption {{ caption-side: bottom; text-align: left; color: #52606d; font-size: 13px; padding-top: 8px }}
 th {{ text-align: right; font-weight: 600; color: #52606d; border-bottom: 2px solid {st.GRID}; padding: 6px 10px }}
@@ -88,10 +88,13 @@ def _figure(figure: go.Figure) -> str:
     return str(pio.to_html(figure, config=CONFIG, include_plotlyjs=False, full_html=False))
 
 
-def html_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], left: int = 1, caption: str = "") -> str:
+def html_table(
+    columns: Sequence[str], rows: Iterable[Sequence[Any]], left: int = 1, caption: str = "", last_left: bool = False
+) -> str:
     """A table; the first ``left`` columns are text, the rest numbers; cells are text or :class:`Cell`."""
-    head = "".join(f"<th{_side(i, left)}>{_text(c)}</th>" for i, c in enumerate(columns))
-    body = "".join("<tr>" + "".join(_cell(i, left, c) for i, c in enumerate(row)) + "</tr>" for row in rows)
+    text = [i < left or (last_left and i == len(columns) - 1) for i in range(len(columns))]
+    head = "".join(f"<th{_side(t)}>{_text(c)}</th>" for t, c in zip(text, columns, strict=True))
+    body = "".join("<tr>" + "".join(map(_cell, text, row)) + "</tr>" for row in rows)
     below = f"<caption>{_text(caption)}</caption>" if caption else ""
     return f"<div class='scroll'><table>{below}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
 
@@ -101,14 +104,14 @@ def folded(summary: str, content: str) -> str:
     return f"<details><summary>{_text(summary)}</summary>{content}</details>"
 
 
-def _cell(i: int, left: int, value: Any) -> str:
+def _cell(is_text: bool, value: Any) -> str:
     cell = value if isinstance(value, Cell) else Cell(str(value))
-    classes = " ".join(c for c in ("left" if i < left else "", cell.judgement) if c)
+    classes = " ".join(c for c in ("left" if is_text else "", cell.judgement) if c)
     return f"<td class='{classes}'>{_text(cell.text)}</td>" if classes else f"<td>{_text(cell.text)}</td>"
 
 
-def _side(i: int, left: int) -> str:
-    return " class='left'" if i < left else ""
+def _side(is_text: bool) -> str:
+    return " class='left'" if is_text else ""
 
 
 def _text(value: str) -> str:

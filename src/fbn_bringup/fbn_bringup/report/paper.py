@@ -32,7 +32,8 @@ def track_map(run: Run, tracks: ErrorTracks, path: Path) -> None:
     """Two panels: three separate estimates before the map is used, and path and map after matching."""
     layers = ly.map_layers(run, tracks)
     with mpl.rc_context(RC):
-        figure = Figure(figsize=(10.5, 5.4), layout="constrained")
+        width, height = ly.extent(layers)
+        figure = Figure(figsize=(10.5, 1.3 + 4.9 * min(max(1.1 * height / width, 0.2), 1.6)), layout="constrained")
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         _panel_without_map(left, layers)
         _panel_on_map(right, layers)
@@ -150,14 +151,12 @@ def innovations(run: Run, tracks: ErrorTracks, path: Path) -> None:
 
 def _nis(axes: Axes, run: Run, table: Innovations) -> None:
     _shade(axes, run)
-    some, time = ly.shown(table), ly.minutes(run, table.stamp_ns)
+    some, time, values = ly.shown(table), ly.minutes(run, table.stamp_ns), ly.nis_to_draw(table)
     for verdict in Verdict:
         mine = some[table.verdict[some] == verdict]
         if len(mine):
-            values = np.maximum(np.nan_to_num(table.nis[mine], nan=1e-3), 1e-3)
-            axes.plot(time[mine], values, ".", ms=2, color=st.VERDICTS[verdict.name], label=verdict.name.lower())
-    dof = int(np.median(table.dof[table.dof > 0]))
-    axes.axhline(float(chi2_bound(0.95, dof)), color=st.INK, lw=0.8, ls="--", label="95 % bound")
+            axes.plot(time[mine], values[mine], ".", ms=2, color=st.VERDICTS[verdict.name], label=verdict.name.lower())
+    axes.axhline(float(chi2_bound(0.95, ly.usual_dof(table))), color=st.INK, lw=0.8, ls="--", label="95 % bound of NIS")
     axes.set(title=f"{table.node}: {table.sensor}", yscale="log", ylabel="NIS")
 
 
@@ -168,10 +167,11 @@ def matches(run: Run, tracks: ErrorTracks, path: Path) -> None:
         return
     columns = min(3, max(1, len(made)))
     rows = -(-len(made) // columns)
+    tall = 0.7 + 3.1 * _aspect(made)  # inches of a row
     with mpl.rc_context(RC):
-        figure = Figure(figsize=(10.5, 2.2 + 3.0 * rows), layout="constrained")
+        figure = Figure(figsize=(10.5, 2.2 + tall * rows), layout="constrained")
         top, *below = figure.subfigures(
-            1 + (rows > 0), 1, height_ratios=[2.2, 3.0 * rows][: 1 + (rows > 0)], squeeze=False
+            1 + (rows > 0), 1, height_ratios=[2.2, tall * rows][: 1 + (rows > 0)], squeeze=False
         ).flat
         _posterior(top.subplots(), run, lines)
         if below:
@@ -181,6 +181,14 @@ def matches(run: Run, tracks: ErrorTracks, path: Path) -> None:
             for axes in grid.flat[len(made) :]:
                 axes.set_visible(False)
         _save(figure, path)
+
+
+def _aspect(made: list[Overlay]) -> float:
+    """Height over width of what the overlays show."""
+    if not made:
+        return 1.0
+    width, height = np.ptp(np.concatenate([xy for o in made for xy in (o.map_xy, o.path_xy, o.tracked_xy)]), axis=0)
+    return float(min(max(1.1 * height / max(width, 1.0), 0.2), 1.6))
 
 
 def _posterior(axes: Axes, run: Run, lines: list[Any]) -> None:

@@ -157,7 +157,7 @@ def sensor_table(result: Evaluation) -> str:
         for s in result.sensors
     ]  # fmt: skip
     columns = ("estimator", "sensor", "used", "gated", "refused", "late", "NIS / dof", "95 % band", "why not used")
-    return html_table(columns, rows, left=2) if rows else ""
+    return html_table(columns, rows, left=2, last_left=True) if rows else ""
 
 
 def _ratio(value: float) -> Cell:
