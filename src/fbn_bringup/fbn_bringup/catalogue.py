@@ -89,6 +89,10 @@ def topic_page() -> str:
     return "\n".join(lines)
 
 
+def _head(*columns: str) -> list[str]:
+    return ["| " + " | ".join(columns) + " |", "| " + " | ".join("---" for _ in columns) + " |"]
+
+
 def takers(topic: str) -> list[str]:
     """The nodes that subscribe to a topic."""
     return [n.name for n in GRAPH.nodes if topic in (*n.inputs, *n.feedback)]
@@ -97,7 +101,8 @@ def takers(topic: str) -> list[str]:
 def _topic_row(t: Topic) -> str:
     taken = ", ".join(name.removeprefix("fbn_") for name in takers(t.name)) or "–"
     kind = t.ros_type.replace("/msg/", "/")
-    return f"| `{t.name}` | `{kind}` | {t.qos.name.lower()}, {t.depth} | {taken} | {_cell(t.about)} | {_cell(t.without or '–')} |"
+    cells = (f"`{t.name}`", f"`{kind}`", f"{t.qos.name.lower()}, {t.depth}", taken, t.about, t.without or "–")
+    return "| " + " | ".join(map(_cell, cells)) + " |"
 
 
 def _qos() -> dict[str, str]:
