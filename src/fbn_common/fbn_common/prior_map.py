@@ -32,9 +32,12 @@ from fbn_common.types import Array, Vec3
 class PriorMapError(ValueError):
     """A map that can't be used: which file, which feature (index and id, where it is one's fault), and why."""
 
-    def __init__(self, reason: str, index: int | None = None, feature_id: Any = None, source: str = "prior map") -> None:
+    def __init__(
+        self, reason: str, index: int | None = None, feature_id: Any = None, source: str = "prior map"
+    ) -> None:
         self.reason, self.index, self.feature_id, self.source = reason, index, feature_id, source
-        where = "" if index is None else f"feature {index}" + (f" (id {feature_id!r})" if feature_id is not None else "") + ": "
+        named = "" if feature_id is None else f" (id {feature_id!r})"
+        where = "" if index is None else f"feature {index}{named}: "
         super().__init__(f"{source}: {where}{reason}")
 
 
@@ -156,7 +159,8 @@ def _feature(item: Any, index: int, datum: GeodeticPoint | None, source: str) ->
     up = float(coordinates[2]) if len(coordinates) == 3 else None
     latitude, longitude = _geodetic(coordinates, datum)
     if abs(latitude) > 90.0 or abs(longitude) > 180.0:
-        raise refuse(f"is no place on earth: latitude {latitude}, longitude {longitude} (the order is longitude, latitude)")
+        place = f"latitude {latitude}, longitude {longitude} (the order is longitude, latitude)"
+        raise refuse(f"is no place on earth: {place}")
     name, target = properties.get("name", ""), properties.get("target", False)
     if not isinstance(name, str) or not isinstance(target, bool):
         raise refuse(f"name must be text and target true or false, got {name!r} and {target!r}")

@@ -219,7 +219,7 @@ class Global:
         self._publish_pose()
 
     def _bring_to_base(self, snippet: Snippet) -> Snippet:
-        """Brings the state's pose to the composite's base, by dead reckoning where one was lost; gives what is to be used."""
+        """Brings the state's pose to the composite's base, bridging what was lost; gives what is to be used."""
         c = snippet.composite
         base = self._reckoned(c.start_ns, c.base_odom)
         if self._bank is None or self._start is None:
@@ -250,7 +250,7 @@ class Global:
         self._carry_to(base)
 
     def _drift_elapses(self, composite: CompositeMeasurement) -> None:
-        """The drift a window later, as the tracker let it relax; where its prior is tighter than that, it was renewed."""
+        """The drift a window later, as the tracker let it relax; a prior tighter than that was renewed."""
         prior = 0.5 * (composite.prior_covariance[4:, 4:] + composite.prior_covariance[4:, 4:].T)
         before, self._last = self._last, composite
         self._time_constant = composite.drift_time_constant

@@ -51,8 +51,10 @@ class Field:
         """Rows within a horizontal radius [m] of any of the points (n, 2), in order."""
         if self.tree is None or len(points) == 0:
             return np.zeros(0, dtype=np.int64)
-        found = self.tree.query_ball_point(points, radius)
-        return np.array(sorted(set().union(*map(set, found))), dtype=np.int64)
+        found: set[int] = set()
+        for point in points:
+            found.update(self.tree.query_ball_point(point, radius))
+        return np.array(sorted(found), dtype=np.int64)
 
     def inside(self, low: Array, high: Array) -> Rows:
         """Rows within an axis-aligned box, corners (2,) [m]."""

@@ -68,7 +68,7 @@ class Hypothesis:
         return replace(self, state=state, evidence=self.evidence + log_likelihood)
 
     def map_shift(self, field: Field, xy: Array) -> Array:
-        """How far (2,) the map's features near a place have moved from where the file has them; the nearest count most."""
+        """How far (2,) matched features have moved from where the file has them; those near a place count most."""
         rows = np.array(self.rows, dtype=np.int64)
         if len(rows) == 0:
             return np.zeros(2)

@@ -1,4 +1,4 @@
-"""Joint compatibility branch and bound: the most pairs that are jointly compatible, then the nearest (Neira and Tardos).
+"""Joint compatibility branch and bound (Neira and Tardos): the most pairs that are jointly compatible, the nearest.
 
 A set of pairs is compatible while its joint Mahalanobis distance ``d' S^-1 d`` (``S = C + J P J'``) stays below the
 99 % point of chi-square.  The distance of a growing set is kept by extending one Cholesky factor row by row, so that
@@ -21,7 +21,7 @@ Ints = npt.NDArray[np.int64]
 
 
 class Joint(NamedTuple):
-    """The best set of pairs: for each found feature the map's index or -1; its distance; nodes visited; all searched."""
+    """The best set: for each found feature the map's index or -1; its distance; nodes visited; all searched."""
 
     assigned: tuple[int, ...]
     distance: float
@@ -60,7 +60,7 @@ def jcbb_kernel(
     most_nodes: int,
     best: Ints,
 ) -> tuple[float, int, bool]:
-    """Depth-first search, written out as a loop; fills ``best`` (found,) and gives distance, nodes, whether complete."""
+    """Depth-first search as a loop; fills ``best`` (found,) and gives distance, nodes, whether complete."""
     maps = allowed.shape[1]
     lower = np.zeros((found * dims, found * dims))
     solved = np.zeros(found * dims)

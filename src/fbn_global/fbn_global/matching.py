@@ -37,7 +37,7 @@ def inverse3(m: Mat3, out: Mat3) -> float:
     out[0, 0], out[0, 1], out[0, 2] = co0 / det, co1 / det, co2 / det
     out[1, 0], out[1, 1], out[1, 2] = co1 / det, (a * f - c * c) / det, (b * c - a * e) / det
     out[2, 0], out[2, 1], out[2, 2] = co2 / det, (b * c - a * e) / det, (a * d - b * b) / det
-    return det
+    return float(det)
 
 
 @njit(cache=True)
@@ -68,7 +68,7 @@ def pair_fit(x: Array, p: Array, i: int, j: int, noise: Mat3, s: Mat3, inverse: 
 
 @njit(cache=True)
 def equate_points(x: Array, p: Array, i: int, j: int, inverse: Mat3) -> None:
-    """Conditions the joint Gaussian, in place, on points i and j being one (``inverse`` of the difference's covariance)."""
+    """Conditions the joint Gaussian, in place, on points i and j being one, by the inverse of their covariance."""
     n = x.shape[0]
     cross, gain = np.empty((n, 3)), np.empty((n, 3))
     r = np.empty(3)
@@ -176,7 +176,7 @@ def same_way(x: Array, p: Array, i: int, j: int, k: int, m: int, noise: Mat3, ga
     for a, b in ((i, k), (j, m)):
         vx += p[3 * a, 3 * a] + p[3 * b, 3 * b] - 2.0 * p[3 * a, 3 * b]
         vy += p[3 * a + 1, 3 * a + 1] + p[3 * b + 1, 3 * b + 1] - 2.0 * p[3 * a + 1, 3 * b + 1]
-    return dx * dx / vx + dy * dy / vy < gate
+    return bool(dx * dx / vx + dy * dy / vy < gate)
 
 
 class Problem(NamedTuple):

@@ -1,4 +1,4 @@
-"""Single pairs of found features that are well correlated to one another: the same object, seen again under a new key."""
+"""Single pairs of found features well correlated to one another: the same object, seen again under a new key."""
 
 from __future__ import annotations
 

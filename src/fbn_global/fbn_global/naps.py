@@ -1,4 +1,4 @@
-"""Scores a hypothesis against the null: what fits (positive), what should have been seen (negative), what was to be expected (prior).
+"""Scores a hypothesis against the null: what fits (positive), what was not seen (negative), what was likely (prior).
 
     log P(H | data) / P(null | data) = sum of log N(innovation) under H less the same under the null      (positive)
         + objects found off the map, fewer of them under H: their density is unknown, Gamma-distributed   (positive)
@@ -99,4 +99,4 @@ def visibility(h: Hypothesis, rows: Rows, field: Field, memory: Memory, p: Scori
         weight + (scans * field.visibility[rows]).sum()
     )  # of this day's sonar to the map's word
     prior = np.clip(common * field.visibility[rows], 0.02, 0.98)
-    return np.clip((weight * prior + hits) / (weight + scans), 0.02, 0.98)
+    return np.asarray(np.clip((weight * prior + hits) / (weight + scans), 0.02, 0.98))

@@ -43,7 +43,9 @@ class ScoringParameters:
     missed_floor: float = param(
         0.05, "-", "chance to miss a feature for causes not modelled", "occlusion, merged echoes"
     )
-    prior_match: float = param(0.1, "-", "chance before any evidence that the map fits", "a wrong match costs the mission")
+    prior_match: float = param(
+        0.1, "-", "chance before any evidence that the map fits", "a wrong match costs the mission"
+    )
 
     def __post_init__(self) -> None:
         if min(self.surplus_count, self.surplus_area, self.height_span, self.visibility_weight) <= 0.0:

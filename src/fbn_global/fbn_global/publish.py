@@ -23,7 +23,7 @@ from fbn_global.hypotheses import Hypothesis
 from fbn_global.memory import Memory
 from fbn_global.naps import visibility
 from fbn_global.parameters import ScoringParameters
-from fbn_global.state import POSE, Block, Kind, State
+from fbn_global.state import POSE, Block, Indices, Kind, State
 from fbn_global.target import Target, rpy_inverse
 from fbn_global.verdict import Verdict
 
@@ -96,12 +96,12 @@ def map_message(
 
 def _prior_features(
     h: Hypothesis, field: Field, memory: Memory, p: ScoringParameters
-) -> tuple[list[MapFeature], list[Array], list[Array | None]]:
+) -> tuple[list[MapFeature], list[Array], list[Indices | None]]:
     rows = np.arange(len(field.features), dtype=np.int64)
     visible = visibility(h, rows, field, memory, p)
     matched = set(h.rows)
     features: list[MapFeature] = []
-    columns: list[Array | None] = []
+    columns: list[Indices | None] = []
     for row, f in enumerate(field.features):
         block = Block(Kind.MAP, row)
         held = block in h.state
@@ -112,7 +112,7 @@ def _prior_features(
     return features, [f.position for f in features], columns
 
 
-def _map_covariance(state: State, field: Field | None, columns: list[Array | None]) -> Array:
+def _map_covariance(state: State, field: Field | None, columns: list[Indices | None]) -> Array:
     """Covariance (3 n, 3 n): the state's where the feature is in it, else the prior's own block."""
     full = np.zeros((3 * len(columns), 3 * len(columns)))
     held = [k for k, c in enumerate(columns) if c is not None]

@@ -11,12 +11,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import cho_solve, solve_triangular
 
 from fbn_common.types import Array
+
+Indices = npt.NDArray[np.int64]
 
 POSE = slice(0, 6)
 XY = slice(0, 2)
@@ -66,7 +69,7 @@ class State:
         start = self.starts[block]
         return slice(start, start + block.width)
 
-    def columns(self, *blocks: Block) -> Array:
+    def columns(self, *blocks: Block) -> Indices:
         """Indices of these blocks' coordinates, one block after the other."""
         parts = [np.arange(self.starts[b], self.starts[b] + b.width) for b in blocks]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=int)
@@ -93,13 +96,13 @@ def start(pose: Array, pose_covariance: Array, drift_covariance: Array) -> State
     return State(_wrapped(np.concatenate([pose, np.zeros(3)])), covariance, {})
 
 
-def likelihood(state: State, columns: Array, jacobian: Array, innovation: Array, noise: Array) -> tuple[float, float]:
+def likelihood(state: State, columns: Indices, jacobian: Array, innovation: Array, noise: Array) -> tuple[float, float]:
     """Log likelihood and normalised square of an innovation (m,) whose Jacobian (m, k) is by these k columns."""
     s = jacobian @ state.covariance[np.ix_(columns, columns)] @ jacobian.T + noise
     return _log_normal(innovation, np.linalg.cholesky(_symmetric(s)))
 
 
-def condition(state: State, columns: Array, jacobian: Array, innovation: Array, noise: Array) -> Conditioned:
+def condition(state: State, columns: Indices, jacobian: Array, innovation: Array, noise: Array) -> Conditioned:
     """The Kalman update, as a symmetric downdate; the innovation is (m,), the Jacobian (m, k) by the k columns."""
     cross = state.covariance[:, columns] @ jacobian.T
     lower = np.linalg.cholesky(_symmetric(jacobian @ cross[columns] + noise))
@@ -173,7 +176,7 @@ def restart(state: State, part: slice, mean: Array, covariance: Array) -> State:
 
 
 def conditional(prior: Array, into: Array) -> tuple[Array, Array]:
-    """Gain ``K_into K^-1`` and remaining covariance factor's part ``K_into K^-1 K_into'`` of a Gaussian's regression."""
+    """A Gaussian's regression: the gain ``K_into K^-1``, and ``K_into K^-1 K_into'``, the variance it explains."""
     factor = (np.linalg.cholesky(prior), True)
     gain = cho_solve(factor, into.T).T
     return gain, gain @ into.T
@@ -187,7 +190,7 @@ def _grown(starts: dict[Block, int], at: int, added: tuple[Block, ...]) -> dict[
     return grown
 
 
-def _log_normal(innovation: Array, lower: Array) -> tuple[float, float]:
+def _log_normal(innovation: Array, lower: npt.NDArray[np.floating[Any]]) -> tuple[float, float]:
     whitened = solve_triangular(lower, innovation, lower=True)
     nis = float(whitened @ whitened)
     return -0.5 * (nis + len(innovation) * _LOG_2PI) - float(np.log(np.diag(lower)).sum()), nis

@@ -1,4 +1,4 @@
-"""The verdict: matched, ambiguous, unmatched or lost, from the posteriors of the places that hypotheses put the vehicle at."""
+"""The verdict: matched, ambiguous, unmatched or lost, from the posteriors of the places that hypotheses name."""
 
 from __future__ import annotations
 

@@ -58,7 +58,9 @@ class Batch:
             for axis in range(3):
                 if k:
                     weight = np.array([[1.0 / ((1.0 - decay**2) * s.drift_sigma**2)]])
-                    self.add([[("drift", k, axis), ("drift", k - 1, axis)]], np.array([[1.0, -decay]]), np.zeros(1), weight)
+                    self.add(
+                        [[("drift", k, axis), ("drift", k - 1, axis)]], np.array([[1.0, -decay]]), np.zeros(1), weight
+                    )
             for f in c.features:
                 k0 = first.setdefault(f.key, k)
                 for axis in range(3 if k0 != k else 0):
@@ -95,7 +97,9 @@ def test_a_chain_of_composites_gives_what_one_batch_of_them_gives() -> None:
     chain = composites()
     state, batch = filtered(chain), Batch(chain, SETTINGS)
     last = len(chain)
-    mean, covariance = batch.marginal([("pose", last, a) for a in range(6)] + [("drift", last - 1, a) for a in range(3)])
+    mean, covariance = batch.marginal(
+        [("pose", last, a) for a in range(6)] + [("drift", last - 1, a) for a in range(3)]
+    )
     # both solve one linear system; the batch inverts information of condition up to 1e9: 1e-16 * 1e9
     np.testing.assert_allclose(np.concatenate([state.mean[POSE], state.mean[DRIFT]]), mean, atol=1e-6)
     np.testing.assert_allclose(state.covariance[:9, :9], covariance, atol=1e-6, rtol=1e-5)

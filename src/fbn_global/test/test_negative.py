@@ -10,8 +10,12 @@ from fbn_common.records import SweptArea
 from fbn_global.negative import gather, gaussian_points, log_missed, missed, scan_counts
 
 
-@pytest.mark.parametrize(("scans", "visibility", "promotion"), [(0, 0.5, 1), (6, 0.7, 7), (7, 0.7, 7), (40, 0.3, 7), (20, 0.9, 2)])
-def test_the_chance_to_miss_is_the_binomial_of_too_few_detections(scans: int, visibility: float, promotion: int) -> None:
+@pytest.mark.parametrize(
+    ("scans", "visibility", "promotion"), [(0, 0.5, 1), (6, 0.7, 7), (7, 0.7, 7), (40, 0.3, 7), (20, 0.9, 2)]
+)
+def test_the_chance_to_miss_is_the_binomial_of_too_few_detections(
+    scans: int, visibility: float, promotion: int
+) -> None:
     expected = binom.cdf(promotion - 1, scans, visibility)
     np.testing.assert_allclose(missed(float(scans), visibility, promotion), expected, rtol=1e-9, atol=1e-15)
 
@@ -21,7 +25,7 @@ def test_between_whole_scans_the_chance_is_between() -> None:
 
 
 def test_the_points_of_the_ellipse_have_the_moments_of_a_gaussian_cut_at_95_percent() -> None:
-    """Second moment per axis of a 2-D Gaussian within 95 %: 1 - 0.05 * 5.99 / (2 * 0.95) = 0.842; four rings give 4 % less."""
+    """Per axis, of a 2-D Gaussian within 95 %: 1 - 0.05 * 5.99 / (2 * 0.95) = 0.842; four rings give 4 % less."""
     points = gaussian_points()
     np.testing.assert_allclose(points.mean(axis=0), 0.0, atol=1e-12)
     np.testing.assert_allclose((points**2).mean(axis=0), 0.842, rtol=0.06)
@@ -62,7 +66,9 @@ def test_a_pass_in_which_it_was_seen_says_nothing_whatever_composite_saw_it() ->
 
 
 def test_a_later_pass_without_it_counts_although_it_was_seen_before() -> None:
-    assert log_chance([10.0, -30.0, 10.0], [True, False, False], existence=1.0, floor=0.05) == pytest.approx(np.log(0.05), rel=1e-3)
+    assert log_chance([10.0, -30.0, 10.0], [True, False, False], existence=1.0, floor=0.05) == pytest.approx(
+        np.log(0.05), rel=1e-3
+    )
 
 
 def test_a_feature_half_likely_outside_the_sweep_is_missed_half_the_time() -> None:

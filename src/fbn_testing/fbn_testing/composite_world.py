@@ -9,6 +9,7 @@ window to window as the record's docstring says.  Features appear once enough sc
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from math import exp
 
 import numpy as np
@@ -163,7 +164,7 @@ class World:
 
     def _path(self) -> tuple[Array, Array]:
         points, step, xy, yaw = [np.array(p, dtype=float) for p in self.s.legs], self.s.speed * self.s.ping_s, [], []
-        for a, b in zip(points[:-1], points[1:], strict=True):
+        for a, b in pairwise(points):
             n = max(int(np.hypot(*(b - a)) / step), 1)
             xy += [a + (b - a) * k / n for k in range(n)]
             yaw += [float(np.arctan2(*(b - a)[::-1]))] * n
@@ -252,7 +253,10 @@ class World:
         h = np.hstack([np.eye(2), -by_drift])  # P2 - by_drift drift = dead reckoning
         measure([4, 5, *drift], h, moved, s.white * s.window_s * np.eye(2))
         attitude = np.diag([0.05**2, 0.01**2, 0.01**2, 0.03**2])
-        noise = lambda c: np.linalg.cholesky(c) @ self.rng.standard_normal(len(c))  # noqa: E731
+
+        def noise(c: Array) -> Array:
+            return np.asarray(np.linalg.cholesky(c) @ self.rng.standard_normal(len(c)))
+
         measure([6, 7, 8, 9], np.eye(4), end[2:] + noise(attitude), attitude)
         for k, (_, _, _, _, place) in enumerate(seen):
             at = [10 + 3 * k, 11 + 3 * k, 12 + 3 * k]
@@ -264,7 +268,7 @@ class World:
             h = np.zeros((3, 5))
             h[:, :3], h[:2, 3:] = np.eye(3), -np.eye(2)
             measure([*at, 4, 5], h, of_p2 + noise(near), near)
-        covariance = np.linalg.inv(information)
+        covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
         mean = covariance @ pull
         scans, corner, cells = swept
         features = tuple(

@@ -1,9 +1,9 @@
 """How often the global filter matches rightly, wrongly or not at all, over many drawn worlds.
 
-    python -m fbn_testing.matching_study row_ambiguity --seeds 100
-    python -m fbn_testing.matching_study charles_river --seeds 100
-    python -m fbn_testing.matching_study other_place --seeds 100
-    python -m fbn_testing.matching_study size
+python -m fbn_testing.matching_study row_ambiguity --seeds 100
+python -m fbn_testing.matching_study charles_river --seeds 100
+python -m fbn_testing.matching_study other_place --seeds 100
+python -m fbn_testing.matching_study size
 """
 
 from __future__ import annotations
@@ -68,7 +68,9 @@ def _calibrate(outcome: Outcome, hypotheses: MatchHypotheses, run: Run) -> None:
             outcome.calibration.append((h.posterior, is_right(hypotheses, k, run)))
 
 
-def _judge(outcome: Outcome, s: LocalizationStatus, hypotheses: MatchHypotheses, run: Run, positions: dict[int, Array]) -> None:
+def _judge(
+    outcome: Outcome, s: LocalizationStatus, hypotheses: MatchHypotheses, run: Run, positions: dict[int, Array]
+) -> None:
     outcome.verdict = s.state
     outcome.right = False
     if s.matched:
@@ -117,7 +119,8 @@ def summary(outcomes: list[Outcome]) -> str:
     wrong = sum(not o.right for o in matched) / n
     ever = sum(o.wrong_ever for o in outcomes) / n
     slow = max(max(o.seconds) for o in outcomes)
-    return f"right {right:6.1%}  wrong {wrong:6.1%}  undecided {1 - right - wrong:6.1%}  wrong ever {ever:6.1%}  slowest {slow:.3f} s"
+    rates = f"right {right:6.1%}  wrong {wrong:6.1%}  undecided {1 - right - wrong:6.1%}  wrong ever {ever:6.1%}"
+    return f"{rates}  slowest {slow:.3f} s"
 
 
 def reliability(outcomes: list[Outcome]) -> Iterator[str]:
@@ -127,7 +130,8 @@ def reliability(outcomes: list[Outcome]) -> Iterator[str]:
         inside = [right for posterior, right in pairs if low <= posterior < high]
         if inside:
             mean = np.mean([posterior for posterior, _ in pairs if low <= posterior < high])
-            yield f"  posterior {low:4.2f}-{min(high, 1.0):4.2f}: stated {mean:.3f}  right {np.mean(inside):.3f}  of {len(inside)}"
+            stated = f"  posterior {low:4.2f}-{min(high, 1.0):4.2f}: stated {mean:.3f}"
+            yield f"{stated}  right {np.mean(inside):.3f}  of {len(inside)}"
 
 
 def _row_ambiguity(seeds: range, methods: list[str]) -> None:
@@ -160,7 +164,10 @@ def _size(seeds: range, methods: list[str]) -> None:
         features = np.column_stack([rng.uniform(-side / 2, side / 2, (count, 2)), np.full(count, -4.0)])
         settings = Settings(features, ((-80.0, 0.0), (80.0, 0.0), (80.0, 30.0), (-80.0, 30.0)), seed=seeds[0])
         outcome = play(World(settings).make(), GlobalParameters())
-        print(f"{count:5d} features: median {np.median(outcome.seconds):.3f} s, slowest {max(outcome.seconds):.3f} s", flush=True)
+        print(
+            f"{count:5d} features: median {np.median(outcome.seconds):.3f} s, slowest {max(outcome.seconds):.3f} s",
+            flush=True,
+        )
 
 
 STUDIES: dict[str, Callable[[range, list[str]], None]] = {
