@@ -14,12 +14,12 @@ from functools import partial
 import gtsam
 import numpy as np
 
-from fbn_common.lie import quaternion_from_matrix, rpy_from_matrix, rpy_jacobian
-from fbn_common.records import CompositeFeature, CompositeMeasurement, Pose
+from fbn_common.lie import rpy_from_matrix, rpy_jacobian
+from fbn_common.records import CompositeFeature, CompositeMeasurement
 from fbn_common.types import Array, Vec2
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
+from fbn_tracking.gating import beam_weights
 from fbn_tracking.geometry import cartesian_jacobian, cross_matrix, finite_slope
-from fbn_tracking.infants import beam_weights
 from fbn_tracking.modes import Surroundings, find_modes, other_elevation
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.solver import Solution, solve, square_root_covariance
@@ -27,7 +27,7 @@ from fbn_tracking.swept import swept_area
 from fbn_tracking.track import Look, Ping, Track, stack_poses
 from fbn_tracking.window import Window, theta_curvature
 
-_FLIP_DAMPING = 0.05  # rad: a feature nearer to the other elevation than this is there
+_FLIPPED = 0.05  # rad: elevations that differ less are the same
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +97,7 @@ def flip(values: gtsam.Values, track: Track, q: Array) -> bool:
     """Move a feature whose smoothed elevation is on the unlikelier side to the likelier one; whether it was moved."""
     key = feature_key(track.key)
     now = values.atPoint3(key)
-    if now[2] * q[2] >= 0.0 or abs(now[2] - q[2]) < _FLIP_DAMPING:
+    if now[2] * q[2] >= 0.0 or abs(now[2] - q[2]) < _FLIPPED:
         return False
     values.update(key, np.array([now[0], now[1], q[2]]))
     return True
@@ -196,10 +196,3 @@ def _feature(track: Track, part: Part, looks: list[Look], R: Array, p: Array) ->
     point = part.mean[10 + 3 * number : 13 + 3 * number] + np.array([*part.base_xy, 0.0])
     expected = beam_weights(point, R, p, np.array([look.limits for look in looks])).sum() if looks else 0.0
     return CompositeFeature(track.key, track.seen, float(expected), track.first_seen_ns, track.last_seen_ns)
-
-
-def as_pose(pose: gtsam.Pose3) -> Pose:
-    """The record of a gtsam pose."""
-    return Pose(
-        np.asarray(pose.translation()), quaternion_from_matrix(np.ascontiguousarray(pose.rotation().matrix()))
-    )

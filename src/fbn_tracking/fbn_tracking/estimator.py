@@ -46,8 +46,6 @@ class Tracking:
         self._sequence = 0
         self._counts: Counter[str] = Counter()
 
-    # --- the estimator protocol ---
-
     def put(self, topic: str, record: Record) -> None:
         """Take in a ping's motion or a scan."""
         self._intake.put(record)
@@ -56,11 +54,7 @@ class Tracking:
         """Process the pings whose motion has come, in the order of their stamps."""
         outputs: list[Output] = []
         if now_ns < self._now_ns:
-            answers, self_counts = self._intake.answers, self._counts
-            self._reset()
-            self._counts = self_counts
-            self._counts["clock_resets"] += 1
-            self._intake.answers = [*answers, refusal("clock", now_ns, Verdict.REFUSED, "the clock jumped back: reset")]
+            self._start_over(now_ns)
         self._now_ns = now_ns
         answers, self._intake.answers = self._intake.answers, []
         outputs += self._answer(answers)
@@ -68,6 +62,14 @@ class Tracking:
             outputs += self._process(motion)
         outputs += self._late_scans()
         return outputs + self._answer(self._intake.expire(now_ns))
+
+    def _start_over(self, now_ns: int) -> None:
+        """The clock jumped back: forget everything but the counters and the answers still owed."""
+        answers, counts = self._intake.answers, self._counts
+        self._reset()
+        self._counts = counts
+        self._counts["clock_resets"] += 1
+        self._intake.answers = [*answers, refusal("clock", now_ns, Verdict.REFUSED, "the clock jumped back: reset")]
 
     def health(self) -> Health:
         """Counters, and whether the smoother had to be rebuilt."""
@@ -134,7 +136,8 @@ class Tracking:
         mean = np.concatenate((motion.earth, np.zeros(3)))
         covariance = np.diag(np.concatenate((_WIDE**2, np.zeros(3))))
         covariance[4:, 4:] = drift_prior(motion)
-        window = Window(Base(pose, mean, covariance, True), {ping.index: ping}, self.parameters.feature.weak_theta_sigma)
+        base = Base(pose, mean, covariance, fresh=True)
+        window = Window(base, {ping.index: ping}, self.parameters.feature.weak_theta_sigma)
         window.start()
         return window
 

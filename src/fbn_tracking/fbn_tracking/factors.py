@@ -31,6 +31,13 @@ def feature_key(key: int) -> int:
     return int(gtsam.symbol("f", key))
 
 
+def inverse(covariance: Array) -> Array:
+    """Inverse of a covariance (n, n), symmetric; scaled first, since its units may differ."""
+    scale = 1.0 / np.sqrt(np.diag(covariance))
+    scaled = np.linalg.inv(covariance * np.outer(scale, scale))
+    return np.asarray(0.5 * (scaled + scaled.T) * np.outer(scale, scale))
+
+
 def whitener(information: Array) -> Array:
     """``W`` with ``W^T W`` = information (n, n), which may be rank-deficient; negative directions carry none."""
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
@@ -108,7 +115,8 @@ def link_factor(index_from: int, index_to: int, inc: Vec3, R_inc: Mat3, dt: floa
     k1, k2 = pose_key(index_from), pose_key(index_to)
 
     def error(_: Any, v: Any, H: Any) -> Array:
-        e, H1, H2, Hb = link_kernel(v.atPose3(k1).matrix(), v.atPose3(k2).matrix(), v.atPoint3(DRIFT), inc, R_inc, dt, W)
+        T_1, T_2 = v.atPose3(k1).matrix(), v.atPose3(k2).matrix()
+        e, H1, H2, Hb = link_kernel(T_1, T_2, v.atPoint3(DRIFT), inc, R_inc, dt, W)
         if H is not None:
             H[0], H[1], H[2] = H1, H2, Hb
         return np.asarray(e)

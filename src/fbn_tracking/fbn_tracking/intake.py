@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fbn_common.records import Innovation, PingMotion, Record, SonarDetection, SonarDetections, Verdict
+from fbn_common.types import Array
 
 _SYMMETRY = 1e-6  # relative
 
@@ -46,7 +47,7 @@ def motion_fault(motion: PingMotion) -> str:
     return "" if motion.drift_time_constant > 0.0 else "drift_time_constant: must be positive"
 
 
-def _semidefinite(matrix: np.ndarray) -> bool:  # type: ignore[type-arg]
+def _semidefinite(matrix: Array) -> bool:
     size = float(np.abs(matrix).max())
     if np.abs(matrix - matrix.T).max() > _SYMMETRY * max(size, 1e-300):
         return False
@@ -57,7 +58,7 @@ def detection_fault(echo: SonarDetection, scan: SonarDetections) -> str:
     """What is wrong with one echo; empty when nothing is."""
     if not np.isfinite([echo.range, echo.bearing, echo.range_sigma, echo.bearing_sigma, echo.intensity]).all():
         return "not finite"
-    if not 0.0 < echo.range:
+    if echo.range <= 0.0:
         return "range is not positive"
     if not 0.0 < echo.bearing < np.pi:
         return "bearing is not between 0 and pi"

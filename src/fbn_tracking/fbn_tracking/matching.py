@@ -10,8 +10,8 @@ import numpy as np
 from fbn_common.types import NS, Array
 from fbn_tracking.assignment import assign
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
+from fbn_tracking.gating import pair_costs, predict_points
 from fbn_tracking.geometry import anchored_observation, u_from_theta
-from fbn_tracking.infants import pair_costs, predict_points
 from fbn_tracking.modes import heading_bound
 from fbn_tracking.track import Detection, Look, Track, array_pose
 from fbn_tracking.window import Window

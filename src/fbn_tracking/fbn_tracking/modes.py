@@ -13,8 +13,9 @@ import gtsam
 import numpy as np
 
 from fbn_common.types import NS, Array, Mat2, Mat3, Vec3
+from fbn_tracking.gating import beam_weights
 from fbn_tracking.geometry import observe
-from fbn_tracking.infants import beam_weights, fit, normal_equations, spread, symmetric_inverse
+from fbn_tracking.infants import fit, normal_equations, spread, symmetric_inverse
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.track import Detection, Look, Mode, Ping, Track, array_pose
 
@@ -54,7 +55,8 @@ def find_modes(track: Track, around: Surroundings) -> list[Mode]:
     start = starting_points(track, around)
     modes = sorted((evaluate(track, q, around) for q in start), key=lambda mode: mode.cost)
     best, rest = modes[0], modes[1:]
-    return [best] + [m for m in rest if abs(m.x[2] - best.x[2]) > _SAME and m.cost - best.cost < around.feature.mode_gap]
+    rivals = [m for m in rest if abs(m.x[2] - best.x[2]) > _SAME]
+    return [best, *(m for m in rivals if m.cost - best.cost < around.feature.mode_gap)]
 
 
 def starting_points(track: Track, around: Surroundings) -> list[Vec3]:

@@ -8,7 +8,7 @@ from math import log
 import numpy as np
 from scipy.stats import chi2
 
-from fbn_common.types import NS, Mat2, Mat3
+from fbn_common.types import NS, Array, Mat2, Mat3
 from fbn_tracking.infants import slack_covariance
 from fbn_tracking.modes import Surroundings, find_modes
 from fbn_tracking.parameters import TrackingParameters
@@ -114,7 +114,7 @@ def slack(window: Window, drift_covariance: Mat3) -> Mat2:
     return slack_covariance(drift_covariance, window.pose(window.last).matrix()[:2, 0])
 
 
-def view_weight(z: np.ndarray, look: Look) -> float:  # type: ignore[type-arg]
+def view_weight(z: Array, look: Look) -> float:
     """How well a look should see what it predicts at r, phi, u: ``exp(-u^2 / 2)`` in its field of view, else 0."""
     low, high, left, right = look.limits[:4]
     return float(np.exp(-0.5 * z[2] ** 2)) if low <= z[0] <= high and left <= z[1] <= right else 0.0

@@ -13,10 +13,10 @@ _QUARTER_LOOK = 0.19635  # rad, 11.25 deg
 
 def blazed_array_pair() -> dict[str, SonarArray]:
     """The two arrays of a 45 deg blazed-array sonar: each sees 22.5 deg, one to the left, one to the right."""
-    sector = {"bearing_min": pi / 2 - _QUARTER_LOOK, "bearing_max": pi / 2 + _QUARTER_LOOK}
+    low, high = pi / 2 - _QUARTER_LOOK, pi / 2 + _QUARTER_LOOK
     return {
-        "sonar_left": SonarArray(mount_rpy=(0.0, 0.0, _QUARTER_LOOK), **sector),
-        "sonar_right": SonarArray(mount_rpy=(0.0, 0.0, -_QUARTER_LOOK), **sector),
+        "sonar_left": SonarArray(mount_rpy=(0.0, 0.0, _QUARTER_LOOK), bearing_min=low, bearing_max=high),
+        "sonar_right": SonarArray(mount_rpy=(0.0, 0.0, -_QUARTER_LOOK), bearing_min=low, bearing_max=high),
     }
 
 
@@ -24,12 +24,20 @@ def blazed_array_pair() -> dict[str, SonarArray]:
 class FeatureParameters:
     """How a feature's elevation, known to the width of the lobe alone, is modelled."""
 
-    elevation: str = param("cubic", "-", "error of the angle around the axis: cubic or linear", "cubic: IROS 2007, eq. 6")
-    alpha: float = param(2e-3, "rad^2", "slope of the cubic at the middle of the lobe", "1e-3 to 3e-3 converge best (A2)")
-    weak_theta_sigma: float = param(0.35, "rad", "loose bound on theta at the first detection", "two half lobes: damps only")
+    elevation: str = param(
+        "cubic", "-", "error of the angle around the axis: cubic or linear", "cubic: IROS 2007, eq. 6"
+    )
+    alpha: float = param(
+        2e-3, "rad^2", "slope of the cubic at the middle of the lobe", "1e-3 to 3e-3 converge best (A2)"
+    )
+    weak_theta_sigma: float = param(
+        0.35, "rad", "loose bound on theta at the first detection", "two half lobes: damps only"
+    )
     floor_margin: float = param(0.7, "m", "how far below the altimeter's floor an object may seem", "slope of the bed")
     surface_margin: float = param(0.3, "m", "how far above the surface an object may seem", "waves")
-    below_odds: float = param(2.0, "-", "odds that an object lies below the array before it is seen twice", "bottom targets")
+    below_odds: float = param(
+        2.0, "-", "odds that an object lies below the array before it is seen twice", "bottom targets"
+    )
     mode_gap: float = param(4.6, "-", "log odds at which the unlikelier elevation is dropped", "1 in 100")
 
     def __post_init__(self) -> None:
@@ -46,11 +54,15 @@ class InfantParameters:
     lifetime: float = param(10.0, "s", "an infant unmatched for so long dies", "IROS 2007 V")
     clutter: float = param(5.0, "-", "false detections expected per array and ping", "acceptance figure of the project")
     detections: int = param(7, "-", "least detections to graduate", "7 to 10 in practice, JOE 2013 IV-B")
-    sigma_horizontal: float = param(0.4, "m", "largest horizontal sigma at graduation", "a fraction of the target spacing")
+    sigma_horizontal: float = param(
+        0.4, "m", "largest horizontal sigma at graduation", "a fraction of the target spacing"
+    )
     sigma_vertical: float = param(5.0, "m", "largest vertical sigma at graduation", "half lobe at 30 m")
     score: float = param(10.0, "-", "least log-likelihood ratio of target to clutter", "1 false in 22,000 candidates")
     static_probability: float = param(0.999, "-", "a static target passes the static-world test so often", "chi-square")
-    patience: int = param(4, "-", "detections waited for more when both elevations are still likely", "half of detections")
+    patience: int = param(
+        4, "-", "detections waited for more when both elevations are still likely", "half of detections"
+    )
     limit: int = param(300, "-", "most infants kept per window", "bounded time")
 
 
@@ -76,7 +88,9 @@ class TrackingParameters:
     gate: float = param(0.997, "-", "probability that a true match passes its gate", "chi-square, 3 dof")
     max_detections: int = param(40, "-", "strongest detections kept per array and ping", "bounded time")
     retire: float = param(10.0, "s", "a feature unseen for so long is retired", "as infants")
-    ping_wait: float = param(3.0, "s", "detections wait so long for their ping's motion", "late merges of 0.5 s, and reserve")
+    ping_wait: float = param(
+        3.0, "s", "detections wait so long for their ping's motion", "late merges of 0.5 s, and reserve"
+    )
     link_wait: float = param(1.0, "s", "a ping whose predecessor is missing waits so long for it", "as ping_wait")
 
     def __post_init__(self) -> None:

@@ -18,7 +18,9 @@ from fbn_tracking.window import Window
 _SHOWN = 2  # detections from which an infant is worth showing
 
 
-def tracked_features(window: Window, nursery: Nursery, joint: Joint | None, pings: int, frame_id: str) -> TrackedFeatures:
+def tracked_features(
+    window: Window, nursery: Nursery, joint: Joint | None, pings: int, frame_id: str
+) -> TrackedFeatures:
     """All features of the window and the infants seen more than once, relative to the vehicle, carried to odom."""
     motion = window.pings[window.last].motion
     T_odom_base = gtsam.Pose3(gtsam.Rot3(matrix_from_quaternion(motion.pose.orientation)), motion.pose.position)

@@ -67,5 +67,5 @@ def square_root_covariance(linear: Any, keys: list[int]) -> Array:
     for key in keys:
         ordering.push_back(key)
     A, _ = linear.marginal(keys, gtsam.EliminateQR).jacobian(ordering)
-    R = np.linalg.qr(np.array(A), mode="r")
+    R = np.asarray(np.linalg.qr(np.array(A), mode="r"))
     return np.asarray(solve_triangular(R, np.eye(R.shape[1])))

@@ -13,7 +13,7 @@ from fbn_common.lie import matrix_from_quaternion
 from fbn_common.records import PingMotion, SonarDetections
 from fbn_common.sonar import SonarArray
 from fbn_common.types import NS, Array, Mat3, Mat4, Vec3
-from fbn_tracking.factors import whitener
+from fbn_tracking.factors import inverse, whitener
 from fbn_tracking.geometry import elevation_shape
 from fbn_tracking.parameters import FeatureParameters
 
@@ -135,7 +135,7 @@ def first_ping(motion: PingMotion) -> Ping:
     """A ping that starts a chain; its earth measurement is all that is known."""
     information = motion.earth_information
     if motion.previous_ns != motion.stamp_ns:  # the chain broke: what the filter knows is where the new one starts
-        information = np.linalg.inv(motion.earth_covariance + _LEAST_VARIANCE * np.eye(4))
+        information = inverse(motion.earth_covariance + _LEAST_VARIANCE * np.eye(4))
     none = np.zeros((6, 6))
     return Ping(
         0, motion.stamp_ns, motion, 0.0, np.zeros(3), np.eye(3), none, none,
@@ -155,7 +155,7 @@ def next_ping(before: Ping, motion: PingMotion) -> Ping:
         np.ascontiguousarray(motion.increment.position),
         matrix_from_quaternion(motion.increment.orientation),
         covariance,
-        whitener(np.linalg.inv(covariance)),
+        whitener(inverse(covariance)),
         motion.earth.copy(),
         whitener(motion.earth_information),
         before.travelled + gathered,

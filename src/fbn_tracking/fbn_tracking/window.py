@@ -256,7 +256,7 @@ def build_graph(
     chain = [ping for ping in pings if ping.index <= last]
     first = chain[0]
     graph.add(factors.gauge_factor(first.index, base.pose.translation()[:2].copy()))
-    graph.add(factors.base_factor(first.index, base.mean, factors.whitener(np.linalg.inv(base.covariance))))
+    graph.add(factors.base_factor(first.index, base.mean, factors.whitener(factors.inverse(base.covariance))))
     for factor in earth_factors(first) if base.fresh else []:
         graph.add(factor)
     for ping in chain[1:]:
