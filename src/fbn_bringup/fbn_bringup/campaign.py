@@ -19,7 +19,7 @@ from rich.table import Table
 
 from fbn_bringup.evaluation.consistency import chi2_bound
 from fbn_bringup.evaluation.evaluate import Evaluation, evaluate
-from fbn_bringup.evaluation.run import Run, collect
+from fbn_bringup.evaluation.run import Item, Run, collect
 from fbn_bringup.ui import number, table
 
 
@@ -87,8 +87,8 @@ def navigate(plan: Plan, seed: int) -> tuple[Run, float]:
 
     from fbn_bringup.commands.options import overrides
     from fbn_bringup.configuration import load_parameters
-    from fbn_bringup.offline import run_offline
     from fbn_bringup.evaluation.truth import parse
+    from fbn_bringup.offline import run_offline
     from fbn_bringup.simulation import PARAMETER_FILE, parameter_text
     from fbn_common.graph import GRAPH
     from fbn_common.prior_map import write_prior_map
@@ -102,11 +102,9 @@ def navigate(plan: Plan, seed: int) -> tuple[Run, float]:
         (Path(place) / PARAMETER_FILE).write_text(parameter_text(simulation))
         chosen = overrides(list(plan.settings), Path(place) / MAP_FILE)
         parameters = load_parameters(GRAPH, (Path(place) / PARAMETER_FILE, *plan.parameter_files), chosen)
-        items = list(simulation.records())
+        items: list[Item] = list(simulation.records())
         begin = time.perf_counter()
-        run_offline(
-            GRAPH, parameters, simulation.records(), lambda log_ns, topic, record: items.append((log_ns, topic, record))
-        )
+        run_offline(GRAPH, parameters, simulation.records(), lambda *item: items.append(item))
         wall = time.perf_counter() - begin
     span = (simulation.entries[-1].log_time_ns - simulation.entries[0].log_time_ns) / 1e9
     return collect(items, f"{plan.scenario}, seed {seed}", parse(truth_document(simulation))), span / wall
@@ -212,10 +210,13 @@ def write(directory: Path, plan: Plan, rows: list[Row]) -> Path:
             [row.seed, *(row.values.get(n) for n in names), f"{row.wall_s:.1f}", row.error] for row in rows
         )
     document: dict[str, Any] = {
-        "scenario": plan.scenario, "settings": list(plan.settings), "parameter_files": [str(p) for p in plan.parameter_files],
-        "seeds": [row.seed for row in rows], "failed": {row.seed: row.error for row in rows if row.error},
+        "scenario": plan.scenario,
+        "settings": list(plan.settings),
+        "parameter_files": [str(p) for p in plan.parameter_files],
+        "seeds": [row.seed for row in rows],
+        "failed": {row.seed: row.error for row in rows if row.error},
         "measures": {s.name: _finite(dataclasses.asdict(s)) for s in spreads(rows)},
-    }  # fmt: skip
+    }
     (directory / "summary.json").write_text(json.dumps(document, indent=2))
     return target
 

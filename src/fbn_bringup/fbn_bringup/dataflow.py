@@ -56,17 +56,18 @@ def _way(i: int, j: int) -> str:
     colour, tip, dash = (FORWARD, "tip", "") if j > i else (BACK, "back", ' stroke-dasharray="5 3"')
     start = f"M{x0 + side * BOX_W / 2:g} {y0:g}"
     leaves = j > len(GRAPH.nodes)
-    way, marker = (
-        (f"H{x1:g}", "") if leaves else (f"H{x1:g} V{y1 - side * (BOX_H / 2 + 2):g}", f' marker-end="url(#{tip})"')
-    )
-    return f'<path d="{start} {way}" fill="none" stroke="{colour}" stroke-opacity="0.55" stroke-width="1.3"{dash}{marker}/>'
+    marker = "" if leaves else f' marker-end="url(#{tip})"'
+    down = "" if leaves else f" V{y1 - side * (BOX_H / 2 + 2):g}"
+    pen = f'fill="none" stroke="{colour}" stroke-opacity="0.55" stroke-width="1.3"'
+    return f'<path d="{start} H{x1:g}{down}" {pen}{dash}{marker}/>'
 
 
 def _words(i: int, j: int, topics: list[str]) -> Iterator[str]:
     """The topics, where the way from node i to node j turns."""
     x, y = _centre(j)[0], _centre(i)[1]
     width, height = 6.1 * max(map(len, topics)) + 8, 13 * len(topics) + 4
-    yield f'<rect x="{x - width / 2:g}" y="{y - height / 2:g}" width="{width:g}" height="{height:g}" rx="3" fill="white"/>'
+    corner = f'x="{x - width / 2:g}" y="{y - height / 2:g}"'
+    yield f'<rect {corner} width="{width:g}" height="{height:g}" rx="3" fill="white"/>'
     for k, topic in enumerate(topics):
         yield _label(x, y - 6.5 * (len(topics) - 1) + 3.5 + 13 * k, topic, 11, FORWARD if j > i else BACK)
 
@@ -94,4 +95,5 @@ def _head(width: float, height: float) -> str:
 
 
 def _label(x: float, y: float, text: str, size: int, colour: str, weight: str = "normal") -> str:
-    return f'<text x="{x:g}" y="{y:g}" font-size="{size}" font-weight="{weight}" fill="{colour}">{html.escape(text)}</text>'
+    pen = f'font-size="{size}" font-weight="{weight}" fill="{colour}"'
+    return f'<text x="{x:g}" y="{y:g}" {pen}>{html.escape(text)}</text>'

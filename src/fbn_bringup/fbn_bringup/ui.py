@@ -13,6 +13,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+__all__ = ["Advance", "CommandError", "err", "escape", "fail", "known_error", "number", "out", "progress", "table"]
+
 out = Console(highlight=False)  # results
 err = Console(stderr=True, highlight=False)  # progress and trouble
 

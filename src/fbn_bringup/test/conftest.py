@@ -53,10 +53,15 @@ class Story:
     def features(self) -> tuple[TrueFeature, ...]:
         """Four features beside every dive."""
         return tuple(
-            TrueFeature(4 * d + i, np.array([self.speed * (d * self.leg_s + self.surface_s + 20.0 * (i + 1)), 8.0, -5.0]),
-                        100 + 4 * d + i, d == 0 and i == 0)
-            for d in range(self.dives) for i in range(4)
-        )  # fmt: skip
+            TrueFeature(
+                4 * d + i,
+                np.array([self.speed * (d * self.leg_s + self.surface_s + 20.0 * (i + 1)), 8.0, -5.0]),
+                100 + 4 * d + i,
+                d == 0 and i == 0,
+            )
+            for d in range(self.dives)
+            for i in range(4)
+        )
 
 
 @pytest.fixture
@@ -99,7 +104,10 @@ def _poses(s: Story, t: float, stamp: int, rng: np.random.Generator, say) -> Non
     shift = np.array([*s.map_shift, 0.0]) + np.array([*s.on_map, 0.0])
     say("truth/odometry", _odometry(stamp, "map", p, 1e-4))
     say("deadreck/odometry", _odometry(stamp, "odom", p + t * np.array([*s.drift, 0.0]), 0.01 + (0.03 * t) ** 2))
-    say("reference/odometry", _odometry(stamp, "map", p + [*s.reference_error, 0.0] + [n[0], n[1], 0.0], 1.0))
+    say(
+        "reference/odometry",
+        _odometry(stamp, "map", p + np.array([*s.reference_error, 0.0]) + np.array([n[0], n[1], 0.0]), 1.0),
+    )
     matched = t >= s.surface_s + 60
     say("global/odometry", _odometry(stamp, "map", p + (shift if matched else [*s.reference_error, 0.0]), 2.0))
 
@@ -152,9 +160,26 @@ def _global(s: Story, t: float, stamp: int, keys: list[int], say) -> None:
     say("global/map", _map(s, stamp, shift))
     say("global/hypotheses", r.MatchHypotheses(stamp, "map", (best, null)))
     say("global/pose", r.PoseWithCovarianceStamped(stamp, "map", r.Pose(p, LEVEL), 0.25 * np.eye(6)))
-    say("global/status", r.LocalizationStatus(
-        stamp, "map", True, r.Localization.MATCHED, 0.98, len(ids), 100, float(np.hypot(body[0], body[1])), 0.0, 0.0,
-        "posterior over the threshold", target.position + shift, np.eye(3), body, 0.25 * np.eye(3)))  # fmt: skip
+    say(
+        "global/status",
+        r.LocalizationStatus(
+            stamp,
+            "map",
+            True,
+            r.Localization.MATCHED,
+            0.98,
+            len(ids),
+            100,
+            float(np.hypot(body[0], body[1])),
+            0.0,
+            0.0,
+            "posterior over the threshold",
+            target.position + shift,
+            np.eye(3),
+            body,
+            0.25 * np.eye(3),
+        ),
+    )
 
 
 def _map(s: Story, stamp: int, shift: Array) -> r.FeatureMap:
@@ -170,8 +195,21 @@ def _composite(stamp: int, keys: list[int]) -> r.CompositeMeasurement:
     n = 13 + 3 * len(keys)
     swept = r.SweptArea(2.0, 2, 2, np.zeros(2), np.ones(4))
     return r.CompositeMeasurement(
-        stamp, "odom", 1, stamp - 10 * NS, False, 10, 8.0, 300.0, features, swept, np.zeros(n), np.eye(n), np.zeros(7), np.eye(7)
-    )  # fmt: skip
+        stamp,
+        "odom",
+        1,
+        stamp - 10 * NS,
+        False,
+        10,
+        8.0,
+        300.0,
+        features,
+        swept,
+        np.zeros(n),
+        np.eye(n),
+        np.zeros(7),
+        np.eye(7),
+    )
 
 
 def _odometry(stamp: int, frame: str, position: Array, variance: float) -> r.Odometry:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from fbn_bringup.check.findings import Finding, Log, Severity, stamps
-from fbn_bringup.evaluation.series import Traffic
+from fbn_bringup.evaluation.series import Stamps, Traffic
 from fbn_common.types import NS
 
 LOWEST_RATE: Final = {
@@ -56,7 +56,7 @@ def order(log: Log) -> Iterator[Finding]:
             yield Finding(Severity.ERROR, topic, "stamps of zero", "set header.stamp to the time of measurement")
 
 
-def _steps(topic: str, steps: np.ndarray) -> Iterator[Finding]:  # type: ignore[type-arg]
+def _steps(topic: str, steps: Stamps) -> Iterator[Finding]:
     back, same = steps[steps < 0], int((steps == 0).sum())
     if len(back) and back.min() < -5 * NS:
         text = f"the clock jumped back by {-back.min() / NS:.1f} s"

@@ -66,10 +66,19 @@ def _findings(verdict: Verdict) -> RenderableType:
 def as_json(verdict: Verdict) -> str:
     """The outcome for programs."""
     traffic = verdict.log.traffic
-    return json.dumps({
-        "bag": verdict.bag,
-        "can_navigate": verdict.can_navigate,
-        "topics": {t: {"messages": len(x.log_ns), "rate_hz": x.rate, "longest_gap_s": x.longest_gap()} for t, x in traffic.items()},
-        "missing": list(verdict.missing),
-        "findings": [{"severity": f.severity.name, "topic": f.topic, "text": f.text, "remedy": f.remedy} for f in verdict.findings],
-    }, indent=2)  # fmt: skip
+    return json.dumps(
+        {
+            "bag": verdict.bag,
+            "can_navigate": verdict.can_navigate,
+            "topics": {
+                t: {"messages": len(x.log_ns), "rate_hz": x.rate, "longest_gap_s": x.longest_gap()}
+                for t, x in traffic.items()
+            },
+            "missing": list(verdict.missing),
+            "findings": [
+                {"severity": f.severity.name, "topic": f.topic, "text": f.text, "remedy": f.remedy}
+                for f in verdict.findings
+            ],
+        },
+        indent=2,
+    )

@@ -58,6 +58,5 @@ def sample_log() -> Path:
     for root in (Path.cwd(), project_root()):
         if root is not None and (root / BAG).is_dir():
             return root / BAG
-    ui.fail(
-        f"{BAG} is not here; run this in the project's directory, or make the log: fbn sim charles_river_2006 -o {BAG}"
-    )
+    remedy = f"run this in the project's directory, or make the log: fbn sim charles_river_2006 -o {BAG}"
+    return ui.fail(f"{BAG} is not here; {remedy}")

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from fbn_bringup.evaluation.series import Innovations
+from fbn_bringup.evaluation.series import Innovations, Stamps
 from fbn_common.records import Verdict
 from fbn_common.types import Array
 
@@ -43,7 +43,7 @@ def chi2_bound(probability: float, dof: float | Array) -> Array:
     return np.asarray(chdtri(dof, 1.0 - probability))
 
 
-def consistency(name: str, squares: Array, dof: int | Array) -> Consistency | None:
+def consistency(name: str, squares: Array, dof: int | Array | Stamps) -> Consistency | None:
     """Statistics of normalised squares (n,) with their degrees of freedom; None without finite samples."""
     degrees = np.broadcast_to(np.asarray(dof, dtype=float), squares.shape)
     good = np.isfinite(squares) & (degrees > 0)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fbn_bringup.evaluation.dives import Dive
-from fbn_bringup.evaluation.series import Track
+from fbn_bringup.evaluation.series import Stamps, Track
 from fbn_bringup.evaluation.truth import Truth
 from fbn_common.records import FeatureMap, MatchHypotheses
 from fbn_common.types import Array
@@ -44,7 +44,7 @@ class ErrorSeries:
 
 
 def against(estimate: Track, truth: Track) -> ErrorSeries:
-    """Errors of an estimate where truth is known, at the stamps of the sparser of both: that one is not interpolated."""
+    """Errors of an estimate where truth is known, at the stamps of the sparser of both, which is not interpolated."""
     kept, true = estimate.within(truth), truth.within(estimate)
     if len(kept) and len(true) < len(kept):
         kept = estimate.at(true.stamp_ns)
@@ -86,11 +86,11 @@ def aligned(deadreck: Track, truth: Track, stamp_ns: int) -> Track:
 class MapShift:
     """How far the map as believed lies off the true features, step by step: (n, 3) [m] at stamps (n,)."""
 
-    stamp_ns: Array
+    stamp_ns: Stamps
     shift: Array
     features: tuple[int, ...]  # how many features each value rests on
 
-    def at(self, stamp_ns: Array) -> Array:
+    def at(self, stamp_ns: Stamps) -> Array:
         """The shift (m, 3) in force at these stamps (m,); the first one before the first."""
         before = np.searchsorted(self.stamp_ns, stamp_ns, side="right") - 1
         return np.asarray(self.shift[np.clip(before, 0, len(self.shift) - 1)])

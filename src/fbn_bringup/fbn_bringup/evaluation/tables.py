@@ -48,17 +48,33 @@ def demo_tables(result: Evaluation, run: Run) -> Iterator[Table]:
 def dive_table(result: Evaluation) -> Table:
     """One row per dive, and the run as a whole below."""
     t = table(
-        f"{result.name}: dives", "dive", "start", "length", "way", "matched", "pairs", "error on the map",
-        "absolute", "reference", "dead reckoning",
-    )  # fmt: skip
+        f"{result.name}: dives",
+        "dive",
+        "start",
+        "length",
+        "way",
+        "matched",
+        "pairs",
+        "error on the map",
+        "absolute",
+        "reference",
+        "dead reckoning",
+    )
     for d in result.dives:
         t.add_row(*dive_row(d, result.has_truth))
     whole = result.mission_drift
     t.add_row(
-        "[bold]all", "", "", number(whole.distance if whole else None, 0, " m"), f"[bold]{result.matched} of {len(result.dives)}",
-        f"[red]{result.false_matches} false" if result.false_matches else "", number(result.on_map_median, 2, " m"),
-        "", "", number(result.drift_percent, 1, " %"),
-    )  # fmt: skip
+        "[bold]all",
+        "",
+        "",
+        number(whole.distance if whole else None, 0, " m"),
+        f"[bold]{result.matched} of {len(result.dives)}",
+        f"[red]{result.false_matches} false" if result.false_matches else "",
+        number(result.on_map_median, 2, " m"),
+        "",
+        "",
+        number(result.drift_percent, 1, " %"),
+    )
     t.caption = "error on the map: median after the match; dead reckoning: of distance, at the dive's end"
     return t
 
@@ -189,9 +205,12 @@ def _ratio(value: float) -> str:
 def as_json(result: Evaluation) -> str:
     """The evaluation as JSON; what is not known is null."""
     summary = {
-        "matched": result.matched, "false_matches": result.false_matches, "on_map_median": result.on_map_median,
-        "on_map_final": result.on_map_final, "drift_percent": result.drift_percent,
-    }  # fmt: skip
+        "matched": result.matched,
+        "false_matches": result.false_matches,
+        "on_map_median": result.on_map_median,
+        "on_map_final": result.on_map_final,
+        "drift_percent": result.drift_percent,
+    }
     return json.dumps(_finite(dataclasses.asdict(result) | summary), indent=2)
 
 

@@ -29,10 +29,14 @@ def styled(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
     """A figure in the house style."""
     axis = dict(gridcolor=st.GRID, zeroline=False, linecolor=st.MUTED, ticks="outside", tickcolor=st.MUTED, ticklen=4)
     figure.update_layout(
-        height=height, template="plotly_white", font=dict(family=st.FONT, size=13, color=st.INK),
-        margin=dict(l=64, r=24, t=36, b=52), hoverlabel=dict(font_family=st.FONT),
-        legend=dict(bgcolor="rgba(255,255,255,0.85)", groupclick="togglegroup", tracegroupgap=2), **layout,
-    )  # fmt: skip
+        height=height,
+        template="plotly_white",
+        font=dict(family=st.FONT, size=13, color=st.INK),
+        margin=dict(l=64, r=24, t=36, b=52),
+        hoverlabel=dict(font_family=st.FONT),
+        legend=dict(bgcolor="rgba(255,255,255,0.85)", groupclick="togglegroup", tracegroupgap=2),
+        **layout,
+    )
     figure.update_xaxes(**axis, title_font_size=13)
     figure.update_yaxes(**axis, title_font_size=13)
     return figure
@@ -87,18 +91,33 @@ def markers(
 ) -> go.Scatter:
     marker = dict(symbol=symbol, size=size, color=look.colour, line=dict(color=look.colour, width=1.6))
     return go.Scatter(
-        x=rounded(xy[:, 0]), y=rounded(xy[:, 1]), mode="markers", marker=marker, name=look.name, legendgroup=look.name,
-        text=list(labels) or None, hovertemplate=f"{look.name} %{{text}}<br>%{{x:.1f}}, %{{y:.1f}} m<extra></extra>", **more,
-    )  # fmt: skip
+        x=rounded(xy[:, 0]),
+        y=rounded(xy[:, 1]),
+        mode="markers",
+        marker=marker,
+        name=look.name,
+        legendgroup=look.name,
+        text=list(labels) or None,
+        hovertemplate=f"{look.name} %{{text}}<br>%{{x:.1f}}, %{{y:.1f}} m<extra></extra>",
+        **more,
+    )
 
 
 def _outlines(outlines: list[Array], look: st.Look, fill: float = 0.10, **more: Any) -> go.Scatter:
     """Many closed outlines as one trace."""
     x, y = ([v for o in outlines for v in (*rounded(o[:, axis], 2), GAP)] for axis in (0, 1))
     return go.Scatter(
-        x=x, y=y, mode="lines", fill="toself", fillcolor=st.faded(look.colour, fill), line=dict(color=st.faded(look.colour, 0.7), width=1),
-        name=look.name, legendgroup=look.name, hoverinfo="skip", **({"showlegend": False} | more),
-    )  # fmt: skip
+        x=x,
+        y=y,
+        mode="lines",
+        fill="toself",
+        fillcolor=st.faded(look.colour, fill),
+        line=dict(color=st.faded(look.colour, 0.7), width=1),
+        name=look.name,
+        legendgroup=look.name,
+        hoverinfo="skip",
+        **({"showlegend": False} | more),
+    )
 
 
 def _add_features(figure: go.Figure, layers: ly.MapLayers) -> None:
@@ -200,9 +219,16 @@ def _add_band(figure: go.Figure, band: ly.Band, row: int, column: int, legend: b
         np.concatenate([band.three_sigma, -band.three_sigma[::-1]]),
     )
     fill = go.Scatter(
-        x=rounded(both[0]), y=rounded(both[1]), fill="toself", fillcolor=st.faded(st.MUTED, 0.16), line=dict(width=0),
-        hoverinfo="skip", name="3σ", legendgroup="3σ", showlegend=legend,
-    )  # fmt: skip
+        x=rounded(both[0]),
+        y=rounded(both[1]),
+        fill="toself",
+        fillcolor=st.faded(st.MUTED, 0.16),
+        line=dict(width=0),
+        hoverinfo="skip",
+        name="3σ",
+        legendgroup="3σ",
+        showlegend=legend,
+    )
     figure.add_trace(fill, row, column)
     figure.add_hline(y=0, line=dict(color=st.MUTED, width=0.8), row=row, col=column)
     figure.add_trace(
@@ -301,17 +327,29 @@ def _add_innovations(figure: go.Figure, run: Run, table: Innovations, row: int) 
         keep = np.isin(have, some)
         limit = max(limit, ly.innovation_limit(values, sigma))
         shade = go.Scatter(
-            x=rounded(time[have[keep]]), y=rounded(3 * sigma[keep], 5), mode="lines", showlegend=False, hoverinfo="skip",
+            x=rounded(time[have[keep]]),
+            y=rounded(3 * sigma[keep], 5),
+            mode="lines",
+            showlegend=False,
+            hoverinfo="skip",
             line=dict(color=st.faded(st.CYCLE[k % 8], 0.55), width=1, dash="dot"),
-        )  # fmt: skip
+        )
         figure.add_trace(shade, row, 1)
         figure.add_trace(go.Scatter(shade, y=-np.asarray(shade.y)), row, 1)
         dots = dict(size=3, color=st.CYCLE[k % 8])
         label = f"component {k + 1}"
         figure.add_trace(
-            go.Scatter(x=rounded(time[have[keep]]), y=rounded(values[keep], 5), mode="markers", marker=dots, name=label, showlegend=False),
-            row, 1,
-        )  # fmt: skip
+            go.Scatter(
+                x=rounded(time[have[keep]]),
+                y=rounded(values[keep], 5),
+                mode="markers",
+                marker=dots,
+                name=label,
+                showlegend=False,
+            ),
+            row,
+            1,
+        )
     if limit > 0.0:
         figure.update_yaxes(range=[-limit, limit], row=row, col=1)
     _add_nis(figure, time[some], table, some, row)
@@ -323,9 +361,14 @@ def _add_nis(figure: go.Figure, time: Array, table: Innovations, some: Stamps, r
     colours = [st.VERDICTS[r.Verdict(int(v)).name] for v in table.verdict[drawn]]
     text = [f"{r.Verdict(int(table.verdict[i])).name} {table.reason[i]}" for i in drawn]
     dots = go.Scatter(
-        x=rounded(when), y=rounded(nis), mode="markers", marker=dict(size=3.5, color=colours), text=text,
-        hovertemplate="NIS %{y:.2f}<br>%{text}<extra></extra>", showlegend=False,
-    )  # fmt: skip
+        x=rounded(when),
+        y=rounded(nis),
+        mode="markers",
+        marker=dict(size=3.5, color=colours),
+        text=text,
+        hovertemplate="NIS %{y:.2f}<br>%{text}<extra></extra>",
+        showlegend=False,
+    )
     figure.add_trace(dots, row, 2)
     dof = ly.usual_dof(table)
     if dof:

@@ -78,7 +78,8 @@ def map_layers(run: Run, tracks: ErrorTracks) -> MapLayers:
 
 
 def _paths(run: Run, tracks: ErrorTracks) -> dict[str, Track]:
-    paths = {t: run.tracks[t] for t in ("truth/odometry", "reference/odometry", "global/odometry") if t in run.tracks}
+    topics = ("truth/odometry", "reference/odometry", "global/odometry")
+    paths: dict[str, Track] = {t: run.tracks[t] for t in topics if t in run.tracks}
     if "deadreck/odometry" in tracks.series:
         return paths | {"deadreck/odometry": tracks.series["deadreck/odometry"].track}
     if deadreck := run.tracks.get("deadreck/odometry"):
@@ -192,7 +193,7 @@ NIS_FLOOR = 1e-3  # drawn values; on a logarithmic axis zero has no place
 
 
 def nis_to_draw(table: Innovations) -> Array:
-    """NIS (n,) for a logarithmic axis: at least the floor, where refused data lie; NaN where there was nothing to test."""
+    """NIS (n,) for a logarithmic axis: at least the floor, where refused data lie; NaN where nothing was tested."""
     nis = np.maximum(np.nan_to_num(table.nis, nan=NIS_FLOOR), NIS_FLOOR)
     untested = (table.dof == 0) & (table.verdict == r.Verdict.USED)
     return np.where(untested | ((table.nis == 0.0) & (table.verdict == r.Verdict.USED)), np.nan, nis)

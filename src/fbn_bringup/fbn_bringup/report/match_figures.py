@@ -55,7 +55,7 @@ def hypothesis_figure(run: Run) -> go.Figure | None:
     figure.update_yaxes(rangemode="tozero", row=3)
     shade_dives(figure, run, 3)
     figure.update_xaxes(title_text="minutes since start", row=3)
-    return legend_above(quiet_titles(styled(figure, 600)))
+    return quiet_titles(styled(figure, 560))
 
 
 def _add_states(figure: go.Figure, run: Run) -> None:
@@ -72,9 +72,14 @@ def _add_states(figure: go.Figure, run: Run) -> None:
         if inside.any():
             reasons = [s.reason for s, there in zip(statuses, inside, strict=True) if there]
             dots = go.Scatter(
-                x=rounded(time[inside]), y=counts[inside], mode="markers", marker=dict(color=colour, size=6), name=state.lower(),
-                text=reasons, hovertemplate="%{y} features<br>%{text}",
-            )  # fmt: skip
+                x=rounded(time[inside]),
+                y=counts[inside],
+                mode="markers",
+                marker=dict(color=colour, size=6),
+                name=state.lower(),
+                text=reasons,
+                hovertemplate="%{y} features<br>%{text}",
+            )
             figure.add_trace(dots, 3, 1)
 
 
@@ -113,11 +118,16 @@ def _overlay_traces(o: Overlay, visible: bool) -> list[Any]:
     traces: list[Any] = [
         line(o.path_xy[:, 0], o.path_xy[:, 1], st.GLOBAL, visible=visible),
         go.Scatter(
-            x=[p[0] for p in lines], y=[p[1] for p in lines], mode="lines", visible=visible, hoverinfo="skip",
-            line=dict(color=st.TARGET.colour, width=2), name=f"pairs (posterior {o.posterior:.2f})",
+            x=[p[0] for p in lines],
+            y=[p[1] for p in lines],
+            mode="lines",
+            visible=visible,
+            hoverinfo="skip",
+            line=dict(color=st.TARGET.colour, width=2),
+            name=f"pairs (posterior {o.posterior:.2f})",
         ),
         markers(o.map_xy, st.ESTIMATED, "x-thin", 10, o.map_labels, visible=visible),
-    ]  # fmt: skip
+    ]
     if len(o.tracked_xy):
         traces.append(
             markers(
@@ -173,9 +183,18 @@ def latency_figure(run: Run) -> go.Figure | None:
     )
     colours = [st.MUTED if GRAPH.publisher(t) is None else st.REFERENCE.colour for t in topics]
     text = [f"{run.traffic[t].rate:.2f} Hz, longest gap {run.traffic[t].longest_gap():.1f} s" for t in topics]
-    figure.add_trace(go.Scatter(
-        x=rounded(q[:, 1]), y=topics, mode="markers", error_x=error, text=text, marker=dict(size=8, color=colours),
-        hovertemplate="%{y}: median %{x:.0f} ms<br>%{text}<extra></extra>", showlegend=False))  # fmt: skip
+    figure.add_trace(
+        go.Scatter(
+            x=rounded(q[:, 1]),
+            y=topics,
+            mode="markers",
+            error_x=error,
+            text=text,
+            marker=dict(size=8, color=colours),
+            hovertemplate="%{y}: median %{x:.0f} ms<br>%{text}<extra></extra>",
+            showlegend=False,
+        )
+    )
     figure.update_yaxes(autorange="reversed", ticksuffix=" ", gridcolor="white")
     figure.update_xaxes(type="log")
     return figure

@@ -29,8 +29,10 @@ p.about {{ color: #52606d; margin: 0 0 12px; max-width: 76ch }}
 section {{ background: white; border: 1px solid {st.GRID}; border-radius: 10px; padding: 20px 22px; margin-top: 20px }}
 nav {{ margin: 10px 0 0 }} nav a {{ color: #0b69a3; text-decoration: none; margin-right: 16px }}
 .cards {{ display: flex; flex-wrap: wrap; gap: 12px; margin-top: 18px }}
-.card {{ background: white; border: 1px solid {st.GRID}; border-radius: 10px; padding: 12px 18px; min-width: 150px; flex: 1 }}
-.card b {{ display: block; font-size: 24px; font-variant-numeric: tabular-nums }} .card span {{ color: #52606d; font-size: 13px }}
+.card {{ background: white; border: 1px solid {st.GRID}; border-radius: 10px; padding: 12px 18px; min-width: 150px }}
+.card {{ flex: 1 }}
+.card b {{ display: block; font-size: 24px; font-variant-numeric: tabular-nums }}
+.card span {{ color: #52606d; font-size: 13px }}
 .scroll {{ overflow-x: auto; margin: 14px 0 6px }}
 table {{ border-collapse: collapse; width: 100%; font-size: 14px; font-variant-numeric: tabular-nums }}
 caption {{ caption-side: bottom; text-align: left; color: #52606d; font-size: 13px; padding-top: 8px }}

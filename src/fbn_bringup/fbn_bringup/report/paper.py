@@ -20,12 +20,28 @@ from fbn_bringup.report import style as st
 from fbn_bringup.report.overlay import Overlay, hypothesis_lines, overlays
 from fbn_common.records import Verdict
 
-RC: Final[dict[str, Any]] = {
-    "font.family": "sans-serif", "font.size": 9, "axes.titlesize": 10, "axes.titleweight": "bold", "axes.titlelocation": "left",
-    "axes.edgecolor": st.MUTED, "axes.labelcolor": st.INK, "xtick.color": st.INK, "ytick.color": st.INK, "axes.linewidth": 0.7,
-    "axes.grid": True, "grid.color": st.GRID, "grid.linewidth": 0.6, "axes.axisbelow": True, "axes.spines.top": False,
-    "axes.spines.right": False, "legend.frameon": False, "legend.fontsize": 8, "figure.dpi": 160, "savefig.bbox": "tight",
-}  # fmt: skip
+RC: Final[Any] = {
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": st.MUTED,
+    "axes.labelcolor": st.INK,
+    "xtick.color": st.INK,
+    "ytick.color": st.INK,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "grid.color": st.GRID,
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "figure.dpi": 160,
+    "savefig.bbox": "tight",
+}
 
 
 def track_map(run: Run, tracks: ErrorTracks, path: Path) -> None:

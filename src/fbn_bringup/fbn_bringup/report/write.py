@@ -74,14 +74,19 @@ def _sections(run: Run, result: Evaluation, tracks: ErrorTracks) -> Iterator[Sec
         [dive_table(result)],
     )
     yield Section(
-        "map", "Map", "Track over prior and estimated map; ellipses are one standard deviation. The prior map is displaced against "
-        "the true features, and the path on the map follows the map, not GPS. Click a name to switch a layer, drag to zoom.",
+        "map",
+        "Map",
+        "Track over prior and estimated map; ellipses are one standard deviation. The prior map is displaced against "
+        "the true features, and the path on the map follows the map, not GPS. Click a name to switch a layer, drag to "
+        "zoom.",
         [f.map_figure(run, tracks)],
-    )  # fmt: skip
+    )
     yield Section(
-        "errors", "Errors", "Estimate less truth; grey: three standard deviations as the filter claims them; blue: under water.",
+        "errors",
+        "Errors",
+        "Estimate less truth; grey: three standard deviations as the filter claims them; blue: under water.",
         _some(f.error_figure(run, tracks), error_table(result)),
-    )  # fmt: skip
+    )
     matches = _some(mf.hypothesis_figure(run), mf.overlay_figure(run))
     yield Section(
         "matches",
@@ -101,13 +106,18 @@ def _sections(run: Run, result: Evaluation, tracks: ErrorTracks) -> Iterator[Sec
         consistency,
     )
     yield Section(
-        "innovations", "Innovations", "What each measurement said against what was expected: innovation with three sigma (dotted), "
-        "and its normalised square.", _some(f.innovation_figure(run)),
-    )  # fmt: skip
+        "innovations",
+        "Innovations",
+        "What each measurement said against what was expected: innovation with three sigma (dotted), "
+        "and its normalised square.",
+        _some(f.innovation_figure(run)),
+    )
     yield Section(
-        "traffic", "Rates and latencies", "In lock step, an output's latency is in log time: data are handled in steps.",
+        "traffic",
+        "Rates and latencies",
+        "In lock step, an output's latency is in log time: data are handled in steps.",
         _some(mf.latency_figure(run), folded("as a table", traffic_table(run))),
-    )  # fmt: skip
+    )
     yield Section(
         "health", "Health and parameters", "Each node's last word, and the parameters it ran with.", _health(run)
     )
@@ -119,7 +129,20 @@ def _some(*parts: Any) -> list[Any]:
 
 def dive_table(result: Evaluation) -> str:
     """One row per dive."""
-    columns = ("dive", "start [min]", "length [s]", "way [m]", "matched", "after [s]", "pairs right", "wrong", "on the map [m]", "at the end [m]", "reference [m]", "dead reckoning [% of distance]")  # fmt: skip
+    columns = (
+        "dive",
+        "start [min]",
+        "length [s]",
+        "way [m]",
+        "matched",
+        "after [s]",
+        "pairs right",
+        "wrong",
+        "on the map [m]",
+        "at the end [m]",
+        "reference [m]",
+        "dead reckoning [% of distance]",
+    )
     return html_table(
         columns, [_dive_row(d, result.has_truth) for d in result.dives], caption="On the map: median after the match."
     )
@@ -131,9 +154,19 @@ def _dive_row(d: DiveResult, has_truth: bool) -> tuple[Any, ...]:
     right, wrong = (str(m.right), Cell(str(m.wrong), "bad" if m.wrong else "")) if has_truth else (str(m.pairs), "–")
     drift = d.deadreck.percent if d.deadreck else None
     return (
-        d.number, number(d.start_s / 60, 1), number(d.duration_s, 0), number(d.distance_m, 0), matched, number(m.after_s, 0), right, wrong,
-        number(d.on_map_m), number(d.on_map_end_m), number(d.reference_m), number(drift, 1),
-    )  # fmt: skip
+        d.number,
+        number(d.start_s / 60, 1),
+        number(d.duration_s, 0),
+        number(d.distance_m, 0),
+        matched,
+        number(m.after_s, 0),
+        right,
+        wrong,
+        number(d.on_map_m),
+        number(d.on_map_end_m),
+        number(d.reference_m),
+        number(drift, 1),
+    )
 
 
 def error_table(result: Evaluation) -> str:
@@ -151,11 +184,16 @@ def nees_table(result: Evaluation) -> str:
 def sensor_table(result: Evaluation) -> str:
     """Verdicts and NIS of the sensors."""
     rows = [
-        (s.node, s.sensor, *(s.verdicts[v] for v in ("USED", "GATED", "REFUSED", "LATE")),
-         _ratio(s.nis.ratio) if s.nis else "–", f"{s.nis.low:.2f}–{s.nis.high:.2f}" if s.nis else "–",
-         "; ".join(f"{reason} ({n})" for reason, n in list(s.reasons.items())[:3]))
+        (
+            s.node,
+            s.sensor,
+            *(s.verdicts[v] for v in ("USED", "GATED", "REFUSED", "LATE")),
+            _ratio(s.nis.ratio) if s.nis else "–",
+            f"{s.nis.low:.2f}–{s.nis.high:.2f}" if s.nis else "–",
+            "; ".join(f"{reason} ({n})" for reason, n in list(s.reasons.items())[:3]),
+        )
         for s in result.sensors
-    ]  # fmt: skip
+    ]
     columns = ("estimator", "sensor", "used", "gated", "refused", "late", "NIS / dof", "95 % band", "why not used")
     return html_table(columns, rows, left=2, last_left=True) if rows else ""
 
