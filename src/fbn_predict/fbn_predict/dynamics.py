@@ -243,14 +243,3 @@ def step(
                 for j in range(COLUMNS):
                     s[i, j] += weight * ks[i, j]
                     ss[i, j] = s0[i, j] + reach * ks[i, j]
-
-
-@njit(cache=True)
-def noise_of_step(linear: Vec3, angular: Vec3, dt: float, q: Array) -> None:
-    """Covariance (12, 12) of a step's white accelerations (power spectral densities, body axes)."""
-    q[:] = 0.0
-    for i in range(6):
-        density = linear[i] if i < 3 else angular[i - 3]
-        q[i, i] = density * dt**3 / 3.0
-        q[i, 6 + i] = q[6 + i, i] = density * dt**2 / 2.0
-        q[6 + i, 6 + i] = density * dt

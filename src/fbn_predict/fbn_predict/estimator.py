@@ -7,17 +7,17 @@ from collections import Counter
 import numpy as np
 
 from fbn_common.estimator import Health, Level, Output
-from fbn_common.lie import matrix_from_quaternion, quaternion_from_matrix, so3_exp
+from fbn_common.lie import matrix_from_quaternion
 from fbn_common.motion_ekf.layout import GRID_NS
 from fbn_common.motion_ekf.monitor import all_finite, refusal
 from fbn_common.records import JointState, Odometry, PredictedMotion, Record, VehicleParameters, Verdict
 from fbn_common.types import Array, nanoseconds, seconds
-from fbn_predict.commands import ACTUATORS, Commands, Malformed, actuator_values
-from fbn_predict.dynamics import COLUMNS, model_of, noise_of_step, step
+from fbn_predict.commands import Commands, Malformed, actuator_values
+from fbn_predict.dynamics import COLUMNS, model_of
 from fbn_predict.parameters import PredictParameters, prior
+from fbn_predict.roll import Levels, new_ring, noise_of_step, roll
 
 _DT = GRID_NS * 1e-9
-_UNKNOWN_DEPTH = 1.0  # m, until dead reckoning says: neither at the surface nor out of the waves
 _FRAME = "base_link"
 MOTION, PARAMETERS, INNOVATIONS = "predict/motion", "predict/parameters", "predict/innovations"
 
@@ -28,8 +28,9 @@ class Predict:
     def __init__(self, parameters: PredictParameters) -> None:
         self.parameters = parameters
         self.model = model_of(parameters.dynamics)
-        self.slots = int(nanoseconds(parameters.history) / GRID_NS) + 200
-        self._linear, self._angular = np.array(parameters.noise.velocity), np.array(parameters.noise.turn_rate)
+        self.slots = nanoseconds(parameters.history + parameters.max_gap) // GRID_NS + 200
+        n = parameters.noise
+        self._levels = Levels(np.array(n.velocity), np.array(n.turn_rate), n.surge, n.surge_time, n.surge_depth)
         self._reset()
         self._warm_up()
 
@@ -37,10 +38,7 @@ class Predict:
         n = self.slots
         self._inbox: list[tuple[str, Record]] = []
         self._commands = Commands()
-        self._velocity, self._attitude = np.zeros((n, 6)), np.tile(np.eye(3), (n, 1, 1))  # at the grid stamps
-        self._depth = np.full(n, _UNKNOWN_DEPTH)
-        self._used = np.zeros((n, 15))  # parameters, by the step that starts there
-        self._rebased: dict[int, tuple[Array, Array, float]] = {}
+        self._ring = new_ring(n)
         self._prior = prior(self.parameters.dynamics, self.parameters.doubt)
         self._mean, self._covariance = self._prior.mean.copy(), self._prior.covariance.copy()
         self._head_ns = self._now_ns = self._first_ns = -1
@@ -115,11 +113,13 @@ class Predict:
         known = 0 <= self._head_ns - record.stamp_ns <= nanoseconds(self.parameters.history)
         if not all_finite(record.twist, record.pose.orientation, record.pose.position) or not record.pose.orientation.any():
             return self._head_ns, [self._say(record.stamp_ns, "deadreck", "not finite")]
-        if not known or record.stamp_ns % GRID_NS != 0:
+        if not known or record.stamp_ns % GRID_NS != 0 or record.stamp_ns < self._first_ns:
             self._counts["feedback.unused"] += 1
             return self._head_ns, []
-        attitude = np.asarray(matrix_from_quaternion(record.pose.orientation))
-        self._rebased[record.stamp_ns] = (record.twist.copy(), attitude, float(-record.pose.position[2]))
+        ring, k = self._ring, self._slot(record.stamp_ns)
+        ring.feedback[k] = True
+        ring.velocity_fed[k], ring.depth_fed[k] = record.twist, -record.pose.position[2]
+        ring.attitude_fed[k] = matrix_from_quaternion(record.pose.orientation)
         self._counts["feedback.used"] += 1
         return record.stamp_ns, []
 
@@ -150,69 +150,64 @@ class Predict:
 
     def _revise(self, from_ns: int, restated_ns: int) -> list[Output]:
         """Re-run the states from a stamp on; motions of steps that end after ``restated_ns`` are published again."""
-        out = []
-        t = max(from_ns // GRID_NS * GRID_NS, self._first_ns)
-        while t < self._head_ns:
-            again = t + GRID_NS > restated_ns
-            motion = self._step(t, wanted=again)
-            if motion is not None:
-                self._counts["motions.restated"] += 1
-                out.append(Output(MOTION, motion))
-            t += GRID_NS
-        return out
+        begin = max(from_ns // GRID_NS * GRID_NS, self._first_ns)
+        again = min(max(restated_ns // GRID_NS * GRID_NS, begin), self._head_ns)
+        if begin < again:
+            self._roll(begin, again, wanted=False)
+        motions = self._roll(again, self._head_ns, wanted=True) if again < self._head_ns else []
+        self._counts["motions.restated"] += len(motions)
+        return motions
 
     def _integrate(self, now_ns: int) -> list[Output]:
-        out = []
-        while self._head_ns + GRID_NS <= now_ns:
-            self._used[self._slot(self._head_ns)] = self._mean
-            motion = self._step(self._head_ns, wanted=True)
-            assert motion is not None
-            out.append(Output(MOTION, motion))
-            self._head_ns += GRID_NS
-        oldest = self._head_ns - nanoseconds(self.parameters.history) - GRID_NS
-        for stamp in [s for s in self._rebased if s < oldest]:
-            del self._rebased[stamp]
-        self._commands.forget(oldest)
-        return out
+        """The steps from the head up to now."""
+        start, end = self._head_ns, now_ns // GRID_NS * GRID_NS
+        if end <= start:
+            return []
+        for stamp in range(start, end, GRID_NS):
+            self._ring.parameters[self._slot(stamp)] = self._mean
+            self._ring.feedback[self._slot(stamp + GRID_NS)] = False  # the ring's last round
+        self._head_ns = end
+        motions = self._roll(start, end, wanted=True)
+        self._commands.forget(end - nanoseconds(self.parameters.history) - GRID_NS)
+        return motions
 
-    def _step(self, start_ns: int, wanted: bool) -> PredictedMotion | None:
-        """From one stamp of the grid to the next; the motion where it is wanted."""
-        k, n = self._slot(start_ns), self._slot(start_ns + GRID_NS)
-        if start_ns in self._rebased:
-            self._velocity[k], self._attitude[k], self._depth[k] = self._rebased[start_ns]
-        actuators = self._commands.mean(start_ns, start_ns + GRID_NS)
-        y, s = np.empty(12), np.empty((12, COLUMNS))
-        velocity, attitude, depth = self._velocity[k], self._attitude[k], float(self._depth[k])
-        step(velocity, attitude, self._used[k], actuators, depth, _DT, self.model, y, s, wanted)
-        self._velocity[n], self._attitude[n], self._depth[n] = y[6:], attitude @ so3_exp(y[3:6]), depth
+    def _roll(self, start_ns: int, end_ns: int, wanted: bool) -> list[Output]:
+        """From one stamp of the grid to another; the motions, where they are wanted."""
+        stamps = range(start_ns, end_ns, GRID_NS)
+        n = len(stamps)
+        actuators = np.array([self._commands.mean(s, s + GRID_NS) for s in stamps])
+        mean, attitude = np.empty((n, 18)), np.empty((n, 4))
+        jacobian, noise = np.empty((n, 12, COLUMNS)), np.empty((n, 12, 12))
+        roll(self._ring, self._slot(start_ns), actuators, _DT, self.model, self._levels, wanted, mean, attitude, jacobian, noise)
         if not wanted:
-            return None
-        return PredictedMotion(
+            return []
+        silent = [s for s in stamps if seconds(s - self._commands.last_before(s)) > self.parameters.actuator_timeout]
+        for s in silent:
+            k = (s - start_ns) // GRID_NS
+            noise[k] += self._silence(self._ring.parameters[self._slot(s)])
+        return [self._motion(s, mean[i], attitude[i], jacobian[i], noise[i]) for i, s in enumerate(stamps)]
+
+    def _motion(self, start_ns: int, mean: Array, attitude: Array, jacobian: Array, noise: Array) -> Output:
+        motion = PredictedMotion(
             stamp_ns=start_ns + GRID_NS,
             start_ns=start_ns,
-            increment=y[0:3].copy(),
-            rotation=y[3:6].copy(),
-            velocity_start=velocity.copy(),
-            velocity_end=y[6:].copy(),
-            parameters=self._used[k].copy(),
-            jacobian_velocity=s[:, 0:6].copy(),
-            jacobian_attitude=s[:, 6:9].copy(),
-            jacobian_parameters=s[:, 9:24].copy(),
-            noise=self._noise(start_ns, k, depth),
-            attitude_start=quaternion_from_matrix(attitude),
+            increment=mean[0:3],
+            rotation=mean[3:6],
+            velocity_start=mean[6:12],
+            velocity_end=mean[12:18],
+            parameters=self._ring.parameters[self._slot(start_ns)].copy(),
+            jacobian_velocity=np.ascontiguousarray(jacobian[:, 0:6]),
+            jacobian_attitude=np.ascontiguousarray(jacobian[:, 6:9]),
+            jacobian_parameters=np.ascontiguousarray(jacobian[:, 9:24]),
+            noise=noise,
+            attitude_start=attitude,
         )
+        return Output(MOTION, motion)
 
-    def _noise(self, start_ns: int, k: int, depth: float) -> Array:
-        """Covariance (12, 12) of a step: standing velocity errors as white accelerations, and wave surge."""
-        p, noise = self._used[k], self.parameters.noise
-        linear, angular = self._linear**2, self._angular**2
-        silence = seconds(start_ns - self._commands.last_before(start_ns))
-        if silence > self.parameters.actuator_timeout:
-            linear, angular = linear + noise.silence**2, angular + noise.silence_turn**2
-        surge = noise.surge * np.exp(-max(depth, 0.0) / noise.surge_depth)
-        linear = 2.0 * p[3:6] * linear + 2.0 * noise.surge_time * (p[3:6] * surge) ** 2
-        q = np.empty((12, 12))
-        noise_of_step(linear, 2.0 * p[6:9] * angular, _DT, q)
+    def _silence(self, parameters: Array) -> Array:
+        """What is added to a step's noise (12, 12) when the actuators are silent."""
+        noise, q = self.parameters.noise, np.empty((12, 12))
+        noise_of_step(2.0 * parameters[3:6] * noise.silence**2, 2.0 * parameters[6:9] * noise.silence_turn**2, _DT, q)
         return q
 
     def _say(self, stamp_ns: int, sensor: str, reason: str) -> Output:
@@ -221,10 +216,9 @@ class Predict:
 
     def _warm_up(self) -> None:
         """Compile (or load) every kernel now, so that no first message is late."""
-        y, s, q = np.empty(12), np.empty((12, COLUMNS)), np.empty((12, 12))
-        for wanted in (False, True):
-            step(np.zeros(6), np.eye(3), self._mean, np.zeros(len(ACTUATORS)), 1.0, _DT, self.model, y, s, wanted)
-        noise_of_step(np.ones(3), np.ones(3), _DT, q)
-        quaternion_from_matrix(self._attitude[0] @ so3_exp(y[3:6]))
+        self._head_ns = self._first_ns = 0
+        self._integrate(2 * GRID_NS)
+        self._roll(0, GRID_NS, wanted=False)
+        self._silence(self._mean)
         matrix_from_quaternion(np.array([0.0, 0.0, 0.0, 1.0]))
-
+        self._reset()

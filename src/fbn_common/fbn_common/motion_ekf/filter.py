@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 from fbn_common.estimator import Health, Level, Output
-from fbn_common.lie import matrix_from_quaternion, quaternion_from_matrix
+from fbn_common.lie import quaternion_from_matrix
 from fbn_common.motion_ekf.adopt import adopt_covariance
 from fbn_common.motion_ekf.core import MotionEkf, State, fresh_sensors
 from fbn_common.motion_ekf.layout import (
@@ -28,6 +29,7 @@ from fbn_common.motion_ekf.layout import (
     VELOCITY,
     WATER,
     X_PARAMETERS,
+    X_ROTATION,
     X_SIZE,
     X_VELOCITY,
     Config,
@@ -386,11 +388,10 @@ class MotionFilter:
     def _answers(self) -> list[Output]:
         """One innovation for each measurement that was processed for the first time."""
         out = []
-        events = self.ekf.events
-        for slot in events.slots[: events.after(self.ekf.head_ns)]:
-            intake = self._pending.pop(slot, None)
-            if intake is not None:
-                out.append(self._answer(slot, intake))
+        stamps = self.ekf.events.rows.stamp
+        done = [slot for slot in self._pending if stamps[slot] <= self.ekf.head_ns]
+        for slot in sorted(done, key=lambda s: (int(stamps[s]), s)):
+            out.append(self._answer(slot, self._pending.pop(slot)))
         return out
 
     def _answer(self, slot: int, intake: Intake) -> Output:
@@ -440,20 +441,31 @@ def pose_of(x: Array) -> Pose:
     return Pose(x[0:3].copy(), quaternion_from_matrix(rotation_of(x)))
 
 
+@njit(cache=True)
+def _covariances(x: Array, p: Array) -> tuple[Array, Array]:
+    """Pose covariance in fixed axes and twist covariance, (6, 6) each."""
+    turn = np.eye(6)
+    for i in range(3):
+        for j in range(3):
+            turn[3 + i, 3 + j] = x[X_ROTATION + 3 * i + j]
+    half, pose, twist = np.zeros((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
+    for i in range(6):
+        for k in range(6):
+            if turn[i, k] != 0.0:
+                for j in range(6):
+                    half[i, j] += turn[i, k] * p[k, j]
+    for i in range(6):
+        for j in range(i + 1):
+            for k in range(6):
+                pose[i, j] += half[i, k] * turn[j, k]
+            pose[j, i] = pose[i, j]
+        for j in range(6):
+            twist[i, j] = p[VELOCITY + i, VELOCITY + j]
+    return pose, twist
+
+
 def odometry(state: State, frame_id: str) -> Odometry:
     """A state as odometry: covariances in ROS order, fixed axes."""
-    x, p = state.x, state.covariance
-    r = rotation_of(x)
-    fixed = np.zeros((6, 6))
-    fixed[:3, :3], fixed[3:, 3:] = np.eye(3), r
-    pose = fixed @ p[:6, :6] @ fixed.T
-    twist = slice(VELOCITY, VELOCITY + 6)
-    return Odometry(
-        state.stamp_ns, frame_id, "base_link", pose_of(x), x[X_VELOCITY : X_VELOCITY + 6].copy(),
-        0.5 * (pose + pose.T), p[twist, twist].copy(),
-    )  # fmt: skip
-
-
-def rotation_from_pose(pose: Pose) -> Array:
-    """R_world_base (3, 3) of a pose."""
-    return np.asarray(matrix_from_quaternion(pose.orientation))
+    pose, twist = _covariances(state.x, state.covariance)
+    velocity = state.x[X_VELOCITY : X_VELOCITY + 6].copy()
+    return Odometry(state.stamp_ns, frame_id, "base_link", pose_of(state.x), velocity, pose, twist)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from math import isfinite
 
 import numpy as np
 
 from fbn_common.estimator import Health, Level
 from fbn_common.records import Innovation, Verdict
-from fbn_common.types import nanoseconds, seconds
+from fbn_common.types import Array, nanoseconds, seconds
 
 _NOTHING = np.empty(0)
 _NOTHING.flags.writeable = False
@@ -76,9 +77,9 @@ def content_of(*values: object) -> bytes:
     return b"|".join(v.tobytes() if isinstance(v, np.ndarray) else repr(v).encode() for v in values)
 
 
-def all_finite(*values: object) -> bool:
+def all_finite(*values: float | Array) -> bool:
     """Whether every number in these floats and arrays is finite."""
-    return all(bool(np.all(np.isfinite(np.asarray(v, dtype=np.float64)))) for v in values)
+    return all(isfinite(v) if isinstance(v, float | int) else bool(np.isfinite(v).all()) for v in values)
 
 
 def health_of(watches: dict[str, Watch], now_ns: int, notes: Iterable[str], values: dict[str, int | float | str]) -> Health:

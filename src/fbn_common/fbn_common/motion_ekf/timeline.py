@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 
 import numpy as np
+from numba import njit
 
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.motion_ekf.layout import DATA_SIZE, GRID_NS, OUT_SIZE, Events, Kind, Motions
@@ -13,6 +14,34 @@ from fbn_common.types import Array
 
 MOTIONS = 2048  # 20 s
 EVENTS = 4096
+
+
+@njit(cache=True)
+def _pack(
+    rows: Motions, k: int, increment: Array, rotation: Array, start: Array, end: Array, parameters: Array,
+    by_velocity: Array, by_attitude: Array, by_parameters: Array, noise: Array, attitude: Array,
+) -> bool:  # fmt: skip
+    """Copy a motion into row ``k``; False, and nothing copied, where a number is not finite."""
+    total = increment.sum() + rotation.sum() + start.sum() + end.sum() + parameters.sum() + attitude.sum()
+    total += by_velocity.sum() + by_attitude.sum() + by_parameters.sum() + noise.sum()
+    if not np.isfinite(total):
+        return False
+    mean, jacobian = rows.mean[k], rows.jacobian[k]
+    mean[0:3], mean[3:6], mean[6:12], mean[12:18] = increment, rotation, start, end
+    for i in range(12):
+        for j in range(3):
+            jacobian[i, j] = by_attitude[i, j]
+        for j in range(6):
+            jacobian[i, 3 + j] = by_velocity[i, j]
+        for j in range(15):
+            jacobian[i, 9 + j] = by_parameters[i, j]
+        for j in range(12):
+            rows.noise[k, i, j] = noise[i, j]
+    used = matrix_from_quaternion(attitude)
+    for i in range(9):
+        rows.attitude[k, i] = used[i // 3, i % 3]
+    rows.parameters[k] = parameters
+    return True
 
 
 class MotionLog:
@@ -34,17 +63,13 @@ class MotionLog:
         """Take a motion; says why not where it cannot be used."""
         if m.stamp_ns % GRID_NS != 0 or m.stamp_ns - m.start_ns != GRID_NS:
             return f"not one step of the {GRID_NS} ns grid: {m.start_ns} to {m.stamp_ns}"
-        numbers = (m.increment, m.rotation, m.velocity_start, m.velocity_end)
-        mean = np.concatenate(numbers)
-        jacobian = np.concatenate((m.jacobian_attitude, m.jacobian_velocity, m.jacobian_parameters), axis=1)
-        total = mean.sum() + jacobian.sum() + m.noise.sum() + m.parameters.sum()
-        if not np.isfinite(total):
-            return "not finite"
         k = (m.stamp_ns // GRID_NS) % MOTIONS
-        rows = self.rows
-        rows.stamp[k], rows.mean[k], rows.jacobian[k], rows.noise[k] = m.stamp_ns, mean, jacobian, m.noise
-        rows.attitude[k] = matrix_from_quaternion(m.attitude_start).ravel()
-        rows.parameters[k] = m.parameters
+        if not _pack(
+            self.rows, k, m.increment, m.rotation, m.velocity_start, m.velocity_end, m.parameters,
+            m.jacobian_velocity, m.jacobian_attitude, m.jacobian_parameters, m.noise, m.attitude_start,
+        ):  # fmt: skip
+            return "not finite"
+        self.rows.stamp[k] = m.stamp_ns
         self.first_ns = m.start_ns if self.first_ns < 0 else min(self.first_ns, m.start_ns)
         self.newest_ns = max(self.newest_ns, m.stamp_ns)
         return ""
