@@ -137,7 +137,7 @@ class BagReader:
     def _open(self) -> Reader | Salvaged:
         if not self.path.exists():
             raise BagError(f"{self.path}: no such bag")
-        if self.path.is_dir() and not any(self.path.glob(p) for p in ("metadata.yaml", "*.mcap", "*.db3")):
+        if self.path.is_dir() and not any(f for p in ("metadata.yaml", "*.mcap", "*.db3") for f in self.path.glob(p)):
             raise BagError(f"{self.path}: holds no bag (metadata.yaml and a .mcap or .db3 file)")
         reader = None
         try:

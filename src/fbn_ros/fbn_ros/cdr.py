@@ -5,13 +5,15 @@ from __future__ import annotations
 import struct
 from typing import TypeVar
 
+from rosbags.serde import SerdeError
+
 from fbn_common.records import Record
 from fbn_ros.conversion import Conversion, ConversionError
 from fbn_ros.definitions import RosbagsMessages
 
 R = TypeVar("R", bound=Record)
 
-_BROKEN = (AssertionError, IndexError, ValueError, struct.error, MemoryError)
+_BROKEN = (SerdeError, AssertionError, IndexError, ValueError, struct.error, MemoryError)
 
 
 class Cdr:

@@ -44,7 +44,7 @@ def sensor_record(topic: str, stamp_ns: int, k: int, rng: np.random.Generator) -
         case "pressure":
             return r.FluidPressure(stamp_ns, "pressure_link", 131_325.0 + rng.normal(0, 50.0), 2500.0)
         case "altitude":
-            return r.Range(stamp_ns, "altimeter_link", 0, 0.1, 0.5, 50.0, 2.0 + 0.25 * (k % 3))
+            return r.Range(stamp_ns, "altimeter_link", 0, 0.125, 0.5, 50.0, 2.0 + 0.25 * (k % 3))
         case "sonar/detections":
             echo = r.SonarDetection(15.0 + k % 4, 1.5, 0.03125, 0.015625, 0.5)
             return r.SonarDetections(stamp_ns, "sonar", k, 4.0, 40.0, 0.0, 3.0, 0.25, (echo,) * (k % 3))
