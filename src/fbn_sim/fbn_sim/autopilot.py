@@ -13,6 +13,7 @@ from numba import njit
 
 from fbn_common.lie import rpy_from_matrix, wrap
 from fbn_common.types import Array, Mat3
+from fbn_sim.kernels import times
 from fbn_sim.sea import SeaTable, elevation
 from fbn_sim.vehicle import Body
 
@@ -97,7 +98,7 @@ def _navigate(
     rate = table.legs[int(memory[LEG]), 4]
     memory[NAV_X] += table.speed_per_rate * rate * np.cos(pitch) * np.cos(yaw) * PERIOD_S
     memory[NAV_Y] += table.speed_per_rate * rate * np.cos(pitch) * np.sin(yaw) * PERIOD_S
-    antenna = state[:3] + rotation @ around.body.antenna
+    antenna = state[:3] + times(rotation, around.body.antenna)
     up = antenna[2] > elevation(around.sea, t, antenna)
     memory[UP_S] = memory[UP_S] + PERIOD_S if up else 0.0
     if memory[UP_S] > SURFACED_S and t - int(t) < PERIOD_S - 1e-6:

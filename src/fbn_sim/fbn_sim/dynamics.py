@@ -11,6 +11,7 @@ from numba import njit
 
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.types import Array, Mat3, Mat6, Vec3, Vec6
+from fbn_sim.kernels import cross, times, transposed_times
 from fbn_sim.sea import SeaTable, current, elevation, orbital
 from fbn_sim.vehicle import Body
 
@@ -19,15 +20,9 @@ STATE = 13  # position 3 (map), quaternion 4, velocity 6 (body, over ground)
 
 
 @njit(cache=True)
-def cross(a: Vec3, b: Vec3) -> Vec3:
-    """The vector product."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-@njit(cache=True)
 def coriolis(mass: Mat6, velocity: Vec6) -> Vec6:
     """``C(nu) nu`` of a body with this mass matrix (Kirchhoff's equations)."""
-    momentum = mass @ velocity
+    momentum = times(mass, velocity)
     v, w, p, h = velocity[:3], velocity[3:], momentum[:3], momentum[3:]
     out = np.empty(6)
     out[:3] = cross(w, p)
@@ -91,9 +86,9 @@ def derivative(state: Array, actuators: Array, t: float, body: Body, sea: SeaTab
     """Rate of change (13,) of the state."""
     position, velocity = state[:3], state[7:13]
     rotation = matrix_from_quaternion(state[3:7])
-    flow = rotation.T @ current(sea, t, position)
+    flow = transposed_times(rotation, current(sea, t, position))
     wave, wave_acceleration = orbital(sea, t, position)
-    water = flow + rotation.T @ wave
+    water = flow + transposed_times(rotation, wave)
     omega = velocity[3:].copy()
     relative = velocity.copy()
     relative[:3] -= water
@@ -103,20 +98,20 @@ def derivative(state: Array, actuators: Array, t: float, body: Body, sea: SeaTab
     force += hydrodynamics(body, relative, actuators)
     force += restoring(body, rotation, position, surface)
     force -= coriolis(body.rigid, velocity) + coriolis(body.added, relative)
-    accelerating = rotation.T @ wave_acceleration
+    accelerating = transposed_times(rotation, wave_acceleration)
     turning = cross(omega, water)
     for i in range(3):
         displaced = body.rigid[0, 0]
         force[i] += (displaced + body.added[i, i]) * accelerating[i] - body.added[i, i] * turning[i]
 
     out = np.empty(STATE)
-    out[:3] = rotation @ velocity[:3]
+    out[:3] = times(rotation, velocity[:3])
     x, y, z, w = state[3], state[4], state[5], state[6]
     out[3] = 0.5 * (w * omega[0] + y * omega[2] - z * omega[1])
     out[4] = 0.5 * (w * omega[1] + z * omega[0] - x * omega[2])
     out[5] = 0.5 * (w * omega[2] + x * omega[1] - y * omega[0])
     out[6] = -0.5 * (x * omega[0] + y * omega[1] + z * omega[2])
-    out[7:] = body.mass_inverse @ force
+    out[7:] = times(body.mass_inverse, force)
     return out
 
 

@@ -11,6 +11,7 @@ from fbn_common.lie import matrix_from_quaternion
 from fbn_common.types import Array
 from fbn_sim.autopilot import DONE, LEG, NAV_X, NAV_Y, PERIOD_S, Surroundings, new_memory, pilot
 from fbn_sim.dynamics import STATE, actuate, step
+from fbn_sim.kernels import times
 from fbn_sim.sea import current, elevation
 from fbn_sim.world import bed_height
 
@@ -48,7 +49,7 @@ def _fly(start: Array, yaw: float, dt: float, steps: int, around: Surroundings) 
         rotation = matrix_from_quaternion(state[3:7])
         if i % every == 0:
             command = pilot(memory, state, rotation, t, around)
-        antenna = state[:3] + rotation @ around.body.antenna
+        antenna = state[:3] + times(rotation, around.body.antenna)
         rows[i, :13], rows[i, 13:16] = state, actuators
         rows[i, 16:19] = current(around.sea, t, state[:3])
         rows[i, 19] = state[2] - bed_height(around.bed, state[0], state[1])

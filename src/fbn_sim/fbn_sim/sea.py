@@ -15,6 +15,7 @@ from numba import njit
 
 from fbn_common.parameters import ParameterError, param
 from fbn_common.types import Array, Vec3
+from fbn_sim.kernels import times
 from fbn_sim.randomness import gauss_markov, generator
 
 GRAVITY = 9.80665  # m/s^2
@@ -159,4 +160,4 @@ def orbital(sea: SeaTable, t: float, position: Vec3) -> tuple[Vec3, Vec3]:
             gradient[2, i] += k * up * c * heading[i]
             for j in range(2):
                 gradient[i, j] -= k * along * s * heading[i] * heading[j]
-    return velocity, acceleration + gradient @ velocity
+    return velocity, acceleration + times(gradient, velocity)

@@ -29,7 +29,9 @@ def neutral_body(**changes: object) -> Body:
 def water(east: float = 0.0, north: float = 0.0) -> SeaTable:
     """A sea that flows everywhere alike, without waves."""
     flow = np.tile([east, north], (2000, 1))
-    return SeaTable(flow, np.zeros((2000, 2)), 1.0, DEEP, np.ones((EDDIES, 4)) * [0, 1, 1, 0], np.ones((WAVES, 5)) * [0, 1, 1, 0, 0])
+    return SeaTable(
+        flow, np.zeros((2000, 2)), 1.0, DEEP, np.ones((EDDIES, 4)) * [0, 1, 1, 0], np.ones((WAVES, 5)) * [0, 1, 1, 0, 0]
+    )
 
 
 def at_depth(depth: float, velocity: Array | None = None) -> Array:

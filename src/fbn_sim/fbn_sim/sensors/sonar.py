@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -18,7 +17,8 @@ from fbn_common.lie import so3_exp
 from fbn_common.parameters import group, param
 from fbn_common.records import SonarDetection, SonarDetections
 from fbn_common.sonar import SonarArray
-from fbn_common.types import Array, Mat3, Vec3
+from fbn_common.types import Array, Mat3, Vec3, Vec6
+from fbn_sim.kernels import cross, length, transposed_times
 from fbn_sim.motion import Motion, interpolate
 from fbn_sim.randomness import generator
 from fbn_sim.sensors.clutter import Clutter, Scatterers
@@ -57,15 +57,23 @@ class Sonar:
     most: int = param(12, "-", "detections a ping and array at most, the strongest", "a fixed number of maxima")
 
 
-class Echo(NamedTuple):
-    """One echo before quantisation, as one row of the kernel's result."""
+@njit(cache=True)
+def sight(offset: Vec3, turn: Mat3, velocity: Vec6, mount: Mat3, origin: Vec3, sound_speed: float) -> Vec3:
+    """Range, bearing to the axis and angle around it (3,) of a point at ``offset`` [m, map] from the vehicle.
 
-    ping: int
-    source: int
-    range: float
-    bearing: float
-    angle: float
-    aspect: float
+    The way there and back is timed: the range is half the length of both, the bearing is that at reception.
+    ``turn``: R_map_base; ``velocity``: of the body; ``mount``: R_base_array, ``origin`` of the array on the body.
+    """
+    base = transposed_times(turn, offset)
+    delay = length(base - origin) / sound_speed
+    rate = -velocity[:3] - cross(velocity[3:], base)
+    middle = transposed_times(mount, base + rate * delay - origin)
+    late = transposed_times(mount, base + rate * 2.0 * delay - origin)
+    out = np.empty(3)
+    out[0] = length(middle)
+    out[1] = np.arccos(min(max(late[2] / max(length(late), 1e-9), -1.0), 1.0))
+    out[2] = np.arctan2(late[1], late[0])
+    return out
 
 
 @njit(cache=True)
@@ -76,33 +84,17 @@ def _insonified(
     """Rows (ping, source, range, bearing, angle, aspect) of what is inside ``limits``; returns how many there are.
 
     ``limits``: least and greatest range [m] and bearing [rad], greatest angle about the axis [rad], sound speed.
-    The way there and back is timed: range is the mean of both, bearing is that at reception.
     """
     found = 0
     for i in range(times.shape[0]):
         for j in range(places.shape[0]):
             if times[i] < life[j, 0] or times[i] > life[j, 1]:
                 continue
-            at = places[j] + drift[j] * (times[i] - life[j, 0])
-            offset = at - positions[i]
-            if offset @ offset > (limits[1] + 3.0) ** 2:
+            offset = places[j] + drift[j] * (times[i] - life[j, 0]) - positions[i]
+            if length(offset) > limits[1] + 3.0:
                 continue
-            base = turns[i].T @ offset
-            reach = np.sqrt(((base - origin) ** 2).sum())
-            delay = reach / limits[5]
-            v, w = velocity[i, :3], velocity[i, 3:]
-            rate = -np.array([
-                v[0] + w[1] * base[2] - w[2] * base[1],
-                v[1] + w[2] * base[0] - w[0] * base[2],
-                v[2] + w[0] * base[1] - w[1] * base[0],
-            ])  # fmt: skip
-            middle = mount.T @ (base + rate * delay - origin)
-            late = mount.T @ (base + rate * 2.0 * delay - origin)
-            r = np.sqrt((middle**2).sum())
-            phi = np.arccos(min(max(late[2] / max(np.sqrt((late**2).sum()), 1e-9), -1.0), 1.0))
-            theta = np.arctan2(late[1], late[0])
-            inside = limits[0] <= r <= limits[1] and limits[2] <= phi <= limits[3] and abs(theta) <= limits[4]
-            if not inside:
+            r, phi, theta = sight(offset, turns[i], velocity[i], mount, origin, limits[5])
+            if not (limits[0] <= r <= limits[1] and limits[2] <= phi <= limits[3] and abs(theta) <= limits[4]):
                 continue
             if found < out.shape[0]:
                 out[found, 0], out[found, 1], out[found, 2] = i, j, r
@@ -112,11 +104,13 @@ def _insonified(
 
 
 def echoes(pings: Motion, array: SonarArray, mount: Mat3, sound_speed: float, things: Scatterers) -> Array:
-    """Geometry (n, 6) of all in the array's sector at the pings, free of noise; columns as :class:`Echo`."""
-    limits = np.array([
-        array.range_min, array.range_max, array.bearing_min - MARGIN, array.bearing_max + MARGIN,
-        1.5 * array.lobe_width, sound_speed,
-    ])  # fmt: skip
+    """Rows (n, 6) for all in the array's sector at the pings, free of noise.
+
+    Columns: number of the ping, row of the thing, range [m], bearing to the axis, angle around it [rad], and
+    aspect: the direction in which the vehicle lies from the thing [rad, map].
+    """
+    sector = [array.range_min, array.range_max, array.bearing_min - MARGIN, array.bearing_max + MARGIN]
+    limits = np.array([*sector, 1.5 * array.lobe_width, sound_speed])
     turns = np.ascontiguousarray(rotations(pings.orientation))
     given = (pings.time_s, pings.position, turns, pings.velocity, mount, array.position_base, limits)
     out = np.empty((8 * len(pings.time_s) + 64, 6))
