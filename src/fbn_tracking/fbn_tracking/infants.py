@@ -91,7 +91,8 @@ def normal_equations(
     v, w = x[3:].copy(), drift_information @ x[3:].copy()
     H[3:, 3:] += drift_information
     g[3:] -= w
-    energy, static = energy + v @ w, static + v @ w
+    prior = float(v @ w)
+    energy, static = energy + prior, static + prior
     gap = point - memory
     pull = memory_information @ gap
     H[:3, :3] += d_q.T @ (memory_information @ d_q)
