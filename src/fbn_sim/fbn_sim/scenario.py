@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ class Scenario:
 
 def scenario_names() -> tuple[str, ...]:
     """The scenarios that come with the package."""
-    files = resources.files("fbn_sim").joinpath("scenarios").iterdir()
+    files = _directory().iterdir()
     return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
 
 
@@ -93,6 +94,10 @@ def load_scenario(name_or_path: str | Path, overrides: Mapping[str, Any] | None 
     return load(Scenario, dotted(document) | dict(overrides or {}))
 
 
+def _directory() -> Traversable:
+    return resources.files("fbn_sim").joinpath("data", "scenarios")
+
+
 def _read(name_or_path: str | Path) -> str:
     path = Path(name_or_path)
     if path.suffix == ".yaml" or path.exists():
@@ -103,4 +108,4 @@ def _read(name_or_path: str | Path) -> str:
     if str(name_or_path) not in scenario_names():
         names = ", ".join(scenario_names())
         raise ParameterError(f"no scenario {str(name_or_path)!r}; there are {names} (or give a .yaml file)")
-    return resources.files("fbn_sim").joinpath("scenarios", f"{name_or_path}.yaml").read_text(encoding="utf-8")
+    return _directory().joinpath(f"{name_or_path}.yaml").read_text(encoding="utf-8")
