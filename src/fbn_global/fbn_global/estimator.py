@@ -6,6 +6,7 @@ from math import exp
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import chi2
 
 from fbn_common.estimator import Health, Level, Output
 from fbn_common.geodesy import GeodeticPoint
@@ -29,7 +30,7 @@ from fbn_global import publish
 from fbn_global import state as states
 from fbn_global.bank import Bank
 from fbn_global.checks import refusal
-from fbn_global.composite_update import CompositeError, Snippet, take_apart
+from fbn_global.composite_update import CompositeError, Snippet, inform_base, take_apart
 from fbn_global.field import Field, build_field
 from fbn_global.hypotheses import Hypothesis
 from fbn_global.odometry import History, Link, Reckoned, carry, link, pose_vector, positive_part
@@ -210,6 +211,8 @@ class Global:
         bank = self._bank
         assert bank is not None
         self._drift_elapses(composite)
+        if self._contradicts(snippet):
+            return
         nis, dof = bank.take_composite(snippet, self._field if self._located else None)
         self._start = self._reckoned(composite.stamp_ns, composite.p2_odom)
         self._answer(composite.stamp_ns, "composite", Answer.USED, "", nis=nis, dof=dof)
@@ -217,6 +220,18 @@ class Global:
         self._publish("global/hypotheses", publish.hypotheses_message(composite.stamp_ns, bank, self._field))
         self._publish_map(composite.stamp_ns)
         self._publish_pose()
+
+    def _contradicts(self, snippet: Snippet) -> bool:
+        """Whether a composite contradicts all that is known of its base; it is then bridged by dead reckoning."""
+        assert self._bank is not None
+        c, dof = snippet.composite, len(snippet.values)
+        nis = inform_base(self._bank.null.state, snippet).nis
+        if nis <= chi2.isf(self.p.motion.composite_gate, max(dof, 1)):
+            return False
+        reason = "contradicts what is known of its base and of the drift; bridged by dead reckoning"
+        self._answer(c.stamp_ns, "composite", Answer.GATED, reason, nis=nis, dof=dof)
+        self._carry_to(self._reckoned(c.stamp_ns, c.p2_odom))
+        return True
 
     def _bring_to_base(self, snippet: Snippet) -> Snippet:
         """Brings the state's pose to the composite's base, bridging what was lost; gives what is to be used."""

@@ -112,6 +112,7 @@ class MotionParameters:
     start_sigma: float = param(1.0e4, "m", "xy before the first fix", "anywhere")
     history_s: float = param(300.0, "s", "odometry remembered", "longest composite, and its delay")
     wait_s: float = param(2.0, "s", "a fix waits this long for the odometry of its time", "sensor delays")
+    composite_gate: float = param(1e-6, "-", "a composite less probable than this is bridged", "never by chance")
     speed_limit: float = param(5.0, "m/s", "a dead-reckoned jump faster than this is a restart of odometry", "AUVs")
 
 

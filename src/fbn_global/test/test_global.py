@@ -230,3 +230,20 @@ def test_an_empty_map_matches_nothing() -> None:
     run = river()
     outputs = feed(Global(GlobalParameters(), PriorMap(())), run.entries)
     assert {s.state for s in of(outputs, LocalizationStatus)} == {Localization.UNMATCHED}
+
+
+def test_a_composite_that_contradicts_its_base_is_gated_and_bridged() -> None:
+    """One window's drift is said to be 1 m/s off, at a sigma of 0.03: no chance, so it is not believed."""
+    run = river(clutter=0.0)
+    entries = list(run.entries)
+    at = next(k for k, e in enumerate(entries) if isinstance(e[1], CompositeMeasurement) and e[1].sequence == 4)
+    composite = entries[at][1]
+    assert isinstance(composite, CompositeMeasurement)
+    mean = composite.mean.copy()
+    mean[-3] += 1.0
+    entries[at] = (entries[at][0], replace(composite, mean=mean))
+    outputs = feed(Global(GlobalParameters()), entries)
+    assert [i.stamp_ns for i in of(outputs, Innovation) if i.verdict is Verdict.GATED] == [composite.stamp_ns]
+    last = of(outputs, PoseWithCovarianceStamped)[-1]
+    error = last.pose.position[:2] - run.truth[last.stamp_ns][:2]
+    assert error @ np.linalg.solve(last.covariance[:2, :2], error) < 13.8  # 99.9 % of chi-square 2
