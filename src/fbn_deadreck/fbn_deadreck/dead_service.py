@@ -115,7 +115,7 @@ def increment(before: State, open_loop: State, after: State, horizon_s: float) -
 
 
 def earth_information(before: State, after: State, step: Increment) -> Mat4:
-    """What was learnt of z, roll, pitch, yaw (4, 4) between the pings: ``C_k^-1 - C_{k|k-1}^-1``, none where not positive."""
+    """What was learnt of z, roll, pitch, yaw (4, 4) since the ping before: ``C_k^-1 - C_{k|k-1}^-1``, if positive."""
     f, g = pushed(before.x, step.translation, step.rotation), into_world(before.x, step.rotation)
     predicted = f @ before.covariance[:6, :6] @ f.T + g @ step.covariance @ g.T
     return gained_information(earth_covariance(after.x, predicted), earth_covariance(after.x, after.covariance))
@@ -129,5 +129,3 @@ def pose_of_increment(step: Increment) -> Pose:
 def identity() -> Increment:
     """No motion, known exactly."""
     return Increment(np.zeros(3), np.eye(3), np.diag(_FLOOR))
-
-

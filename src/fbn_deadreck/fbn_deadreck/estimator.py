@@ -9,8 +9,10 @@ import numpy as np
 from fbn_common.estimator import Output
 from fbn_common.graph import GRAPH
 from fbn_common.motion_ekf.core import State
-from fbn_common.motion_ekf.filter import MotionFilter, pose_of
+from fbn_common.motion_ekf.filter import MotionFilter
+from fbn_common.motion_ekf.intake import Intake
 from fbn_common.motion_ekf.layout import BEACON_ROW, ESTIMATED_DEADRECK, SIZE_DEADRECK, X_VELOCITY
+from fbn_common.motion_ekf.output import pose_of
 from fbn_common.motion_ekf.sensors import Unusable, altitude_data
 from fbn_common.records import PingMotion, Range, Record, SonarDetections, Verdict
 from fbn_common.types import nanoseconds, seconds
@@ -106,7 +108,7 @@ class Deadreck(MotionFilter):
             drift_covariance=drift_covariance(after),
         )
 
-    def measure(self, intake, topic, record, now_ns):  # type: ignore[no-untyped-def]
+    def measure(self, intake: Intake, topic: str, record: Record, now_ns: int) -> list[Output]:
         """As the base class; altitudes are kept for the pings too."""
         if isinstance(record, Range):
             self._keep_altitude(record)
@@ -129,5 +131,3 @@ class Deadreck(MotionFilter):
         age, _, altitude, variance = min(near)
         slope = self.parameters.altimeter.slope * seconds(age)  # a metre a second over ground, at most
         return altitude, variance + slope**2
-
-

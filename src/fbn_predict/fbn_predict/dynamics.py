@@ -101,9 +101,18 @@ def _cross(a: Vec3, b: Vec3) -> Vec3:
 
 @njit(cache=True)
 def rates(
-    y: Array, attitude: Mat3, p: Array, actuators: Array, depth: float, model: Model, dy: Array, wanted: bool, a: Array, b: Array
+    y: Array,
+    attitude: Mat3,
+    p: Array,
+    actuators: Array,
+    depth: float,
+    model: Model,
+    dy: Array,
+    wanted: bool,
+    a: Array,
+    b: Array,
 ) -> None:
-    """``dy`` (12,) and, where wanted, its Jacobians by ``y`` into ``a`` (12, 12) and by attitude and parameters into ``b`` (12, 18)."""
+    """``dy`` (12,); where wanted, its Jacobians: ``a`` (12, 12) by ``y``, ``b`` (12, 18) by attitude and parameters."""
     theta, v, w = y[3:6], y[6:9], y[9:12]
     e = so3_exp(theta)
     world = attitude
@@ -136,8 +145,22 @@ def rates(
 
 @njit(cache=True)
 def _jacobians(
-    y: Array, e: Mat3, world: Mat3, p: Array, model: Model, water0: Vec3, up0: Vec3, water: Vec3, up: Vec3,
-    rel: Vec3, flow: Vec3, drive: Array, momentum: Vec3, lift: float, a: Array, b: Array,
+    y: Array,
+    e: Mat3,
+    world: Mat3,
+    p: Array,
+    model: Model,
+    water0: Vec3,
+    up0: Vec3,
+    water: Vec3,
+    up: Vec3,
+    rel: Vec3,
+    flow: Vec3,
+    drive: Array,
+    momentum: Vec3,
+    lift: float,
+    a: Array,
+    b: Array,
 ) -> None:
     theta, v, w = y[3:6], y[6:9], y[9:12]
     a[:], b[:] = 0.0, 0.0
@@ -217,9 +240,18 @@ def _flow(a: Array, b: Array, s: Array, out: Array) -> None:
 
 @njit(cache=True)
 def step(
-    velocity: Array, attitude: Mat3, p: Array, actuators: Array, depth: float, dt: float, model: Model, y: Array, s: Array, wanted: bool
+    velocity: Array,
+    attitude: Mat3,
+    p: Array,
+    actuators: Array,
+    depth: float,
+    dt: float,
+    model: Model,
+    y: Array,
+    s: Array,
+    wanted: bool,
 ) -> None:
-    """One classical Runge-Kutta step from rest of ``y``: ``y`` (12,) and, where wanted, ``s = dy/d(v0, attitude, p)`` (12, 24)."""
+    """One classical Runge-Kutta step: ``y`` (12,) and, where wanted, ``s = dy/d(velocity, attitude, p)`` (12, 24)."""
     a, b = np.empty((12, 12)), np.empty((12, 18))
     k, ks = np.empty(12), np.empty((12, COLUMNS))
     y0, s0 = np.zeros(12), np.zeros((12, COLUMNS))

@@ -31,18 +31,18 @@ class Predict:
         self.slots = nanoseconds(parameters.history + parameters.max_gap) // GRID_NS + 200
         n = parameters.noise
         self._levels = Levels(np.array(n.velocity), np.array(n.turn_rate), n.surge, n.surge_time, n.surge_depth)
+        self._counts: Counter[str] = Counter()
+        self._inbox: list[tuple[str, Record]] = []
         self._reset()
         self._warm_up()
 
     def _reset(self) -> None:
         n = self.slots
-        self._inbox: list[tuple[str, Record]] = []
         self._commands = Commands()
         self._ring = new_ring(n)
         self._prior = prior(self.parameters.dynamics, self.parameters.doubt)
         self._mean, self._covariance = self._prior.mean.copy(), self._prior.covariance.copy()
         self._head_ns = self._now_ns = self._first_ns = -1
-        self._counts: Counter[str] = getattr(self, "_counts", Counter())
 
     # --- the two doors ----------------------------------------------------------------------------------
 
@@ -60,7 +60,7 @@ class Predict:
             self._counts["resets"] += 1
         self._now_ns = now_ns
         changed = restated = self._head_ns
-        for topic, record in inbox:
+        for _, record in inbox:
             if isinstance(record, JointState):
                 stamp, said = self._take_command(record)
                 restated = min(restated, stamp)
@@ -86,7 +86,9 @@ class Predict:
         if self._commands.newest_ns < 0:
             return Health(Level.WARN, "no actuators yet: propeller taken as still, motion uncertain", values)
         if silence > self.parameters.actuator_timeout:
-            return Health(Level.WARN, f"actuators silent for {silence:.1f} s: last command held, uncertainty grows", values)
+            return Health(
+                Level.WARN, f"actuators silent for {silence:.1f} s: last command held, uncertainty grows", values
+            )
         return Health(Level.OK, "running", values)
 
     # --- taking in --------------------------------------------------------------------------------------
@@ -111,7 +113,10 @@ class Predict:
     def _take_feedback(self, record: Odometry) -> tuple[int, list[Output]]:
         """Dead reckoning's velocity and attitude at a stamp of the grid: our own history is re-run from there."""
         known = 0 <= self._head_ns - record.stamp_ns <= nanoseconds(self.parameters.history)
-        if not all_finite(record.twist, record.pose.orientation, record.pose.position) or not record.pose.orientation.any():
+        if (
+            not all_finite(record.twist, record.pose.orientation, record.pose.position)
+            or not record.pose.orientation.any()
+        ):
             return self._head_ns, [self._say(record.stamp_ns, "deadreck", "not finite")]
         if not known or record.stamp_ns % GRID_NS != 0 or record.stamp_ns < self._first_ns:
             self._counts["feedback.unused"] += 1
@@ -126,7 +131,11 @@ class Predict:
     def _take_parameters(self, record: VehicleParameters) -> list[Output]:
         """Adopt the reference filter's parameters from the next step on; the velocity is not touched."""
         c = record.covariance
-        if not all_finite(record.mean, c) or min(record.mean[3:9]) <= 0.0 or np.linalg.eigvalsh(0.5 * (c + c.T))[0] < 0.0:
+        if (
+            not all_finite(record.mean, c)
+            or min(record.mean[3:9]) <= 0.0
+            or np.linalg.eigvalsh(0.5 * (c + c.T))[0] < 0.0
+        ):
             return [self._say(record.stamp_ns, "parameters", "not finite, damping not positive, or not a covariance")]
         self._mean, self._covariance = record.mean.copy(), record.covariance.copy()
         self._counts["parameters.used"] += 1
@@ -178,7 +187,19 @@ class Predict:
         actuators = np.array([self._commands.mean(s, s + GRID_NS) for s in stamps])
         mean, attitude = np.empty((n, 18)), np.empty((n, 4))
         jacobian, noise = np.empty((n, 12, COLUMNS)), np.empty((n, 12, 12))
-        roll(self._ring, self._slot(start_ns), actuators, _DT, self.model, self._levels, wanted, mean, attitude, jacobian, noise)
+        roll(
+            self._ring,
+            self._slot(start_ns),
+            actuators,
+            _DT,
+            self.model,
+            self._levels,
+            wanted,
+            mean,
+            attitude,
+            jacobian,
+            noise,
+        )
         if not wanted:
             return []
         silent = [s for s in stamps if seconds(s - self._commands.last_before(s)) > self.parameters.actuator_timeout]

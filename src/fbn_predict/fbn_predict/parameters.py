@@ -18,18 +18,32 @@ Triple = tuple[float, float, float]
 class Dynamics:
     """One parametrised vehicle: a vectored propeller, fins, or both.  Forces are per mass, torques per inertia."""
 
-    propeller_reference: float = param(125.66, "rad/s", "rate at which the actuation gains are stated", "1,200 rpm, ISRR 2007 4")
-    thrust_exponent: float = param(1.0, "-", "thrust grows as this power of the rate", "terminal speed then grows as the rate")
-    angular_actuation: Triple = param((-0.2, 0.25, 0.25), "rad/s^2", "by full thrust: roll; pitch and yaw per sine of tilt, pan", _RANGER)
+    propeller_reference: float = param(
+        125.66, "rad/s", "rate at which the actuation gains are stated", "1,200 rpm, ISRR 2007 4"
+    )
+    thrust_exponent: float = param(
+        1.0, "-", "thrust grows as this power of the rate", "terminal speed then grows as the rate"
+    )
+    angular_actuation: Triple = param(
+        (-0.2, 0.25, 0.25), "rad/s^2", "by full thrust: roll; pitch and yaw per sine of tilt, pan", _RANGER
+    )
     linear_damping: Triple = param((0.27, 0.7, 0.7), "1/s", "decay of velocity through the water", _RANGER)
     angular_damping: Triple = param((1.5, 1.5, 1.5), "1/s", "decay of turn rates", _RANGER)
     terminal_speed: float = param(0.75, "m/s", "at the reference rate, straight ahead", "ISRR 2007 4")
     lateral_actuation: float = param(0.08, "m/s^2", "side force of full thrust per sine of pan or tilt", _RANGER)
-    quadratic_damping: Triple = param((0.0, 0.0, 0.0), "s/m", "share of damping that grows with speed", "off: linear in the paper")
+    quadratic_damping: Triple = param(
+        (0.0, 0.0, 0.0), "s/m", "share of damping that grows with speed", "off: linear in the paper"
+    )
     mass_ratio: Triple = param((1.0, 1.7, 1.7), "-", "mass with added mass, over that ahead", "slender body")
-    lateral_centre: float = param(-0.4, "m", "where lateral resistance acts, along x", "tail fins; tuned on simulated turns")
-    fin_torque: float = param(0.0, "rad/s^2", "of a radian of rudder or plane at terminal speed, over the actuation gain", "no fins")
-    fin_lift: float = param(0.0, "m/s^2", "side force of a radian of rudder or plane at terminal speed, over lateral gain", "no fins")
+    lateral_centre: float = param(
+        -0.4, "m", "where lateral resistance acts, along x", "tail fins; tuned on simulated turns"
+    )
+    fin_torque: float = param(
+        0.0, "rad/s^2", "of a radian of rudder or plane at terminal speed, over the actuation gain", "no fins"
+    )
+    fin_lift: float = param(
+        0.0, "m/s^2", "side force of a radian of rudder or plane at terminal speed, over lateral gain", "no fins"
+    )
     buoyancy: float = param(0.017, "m/s^2", "excess over weight, per mass across; fades at the surface", "1 N")
     righting_roll: float = param(19.0, "1/s^2", "righting torque per sine of roll", "metacentric height 12 mm")
     righting_pitch: float = param(0.57, "1/s^2", "righting torque per sine of pitch", "metacentric height 12 mm")
@@ -58,12 +72,16 @@ class Doubt:
 class Noise:
     """What the model leaves out, as the spread of velocity it keeps up; white acceleration of the same power."""
 
-    velocity: Triple = param((0.02, 0.03, 0.03), "m/s", "standing error of velocity, body axes", "simulated turns and waves")
+    velocity: Triple = param(
+        (0.02, 0.03, 0.03), "m/s", "standing error of velocity, body axes", "simulated turns and waves"
+    )
     turn_rate: Triple = param((0.1, 0.04, 0.04), "rad/s", "standing error of turn rates", "trim and servo zeros")
     surge: float = param(0.12, "m/s", "standard deviation of wave surge at the surface", "waves of 0.25 m, 3 s")
     surge_time: float = param(1.0, "s", "correlation time of surge", "waves of 5 s")
     surge_depth: float = param(2.0, "m", "depth over which surge falls by e", "waves of 3 s: 14 m long")
-    silence: float = param(0.5, "m/s", "standing error of velocity when actuators are silent", "the vehicle may have stopped")
+    silence: float = param(
+        0.5, "m/s", "standing error of velocity when actuators are silent", "the vehicle may have stopped"
+    )
     silence_turn: float = param(0.3, "rad/s", "standing error of turn rates then", "the rudder may be anywhere")
 
 
@@ -74,8 +92,12 @@ class PredictParameters:
     dynamics: Dynamics = group(Dynamics)
     doubt: Doubt = group(Doubt)
     noise: Noise = group(Noise)
-    actuator_timeout: float = param(2.0, "s", "silence of actuators after which uncertainty grows", "20 missed commands")
-    history: float = param(6.0, "s", "for how long late commands and feedback are worked in", "5 s of delay, and a margin")
+    actuator_timeout: float = param(
+        2.0, "s", "silence of actuators after which uncertainty grows", "20 missed commands"
+    )
+    history: float = param(
+        6.0, "s", "for how long late commands and feedback are worked in", "5 s of delay, and a margin"
+    )
     max_gap: float = param(10.0, "s", "a longer jump of the clock starts anew", "assumed")
     ahead: float = param(1.0, "s", "a stamp farther ahead of the clock is refused", "clocks on one vehicle agree")
 

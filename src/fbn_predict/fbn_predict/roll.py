@@ -85,7 +85,11 @@ def roll(
     for i in range(actuators.shape[0]):
         k, n = (first + i) % size, (first + i + 1) % size
         if ring.feedback[k]:
-            ring.velocity[k], ring.attitude[k], ring.depth[k] = ring.velocity_fed[k], ring.attitude_fed[k], ring.depth_fed[k]
+            ring.velocity[k], ring.attitude[k], ring.depth[k] = (
+                ring.velocity_fed[k],
+                ring.attitude_fed[k],
+                ring.depth_fed[k],
+            )
         p, depth = ring.parameters[k], ring.depth[k]
         step(ring.velocity[k], ring.attitude[k], p, actuators[i], depth, dt, model, y, s, wanted)
         if wanted:

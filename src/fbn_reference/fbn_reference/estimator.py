@@ -10,7 +10,8 @@ from fbn_common.estimator import Output
 from fbn_common.geodesy import GeodeticPoint, enu_from_geodetic
 from fbn_common.graph import GRAPH
 from fbn_common.motion_ekf.core import State
-from fbn_common.motion_ekf.filter import Intake, MotionFilter
+from fbn_common.motion_ekf.filter import MotionFilter
+from fbn_common.motion_ekf.intake import Intake
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
     BEACON_ROW,
@@ -52,7 +53,7 @@ class Reference(MotionFilter):
     def _restart(self) -> None:
         super()._restart()
         for intake in self._beacons.values():
-            intake.__post_init__()
+            intake.reset()
         self._gain: Gain | None = None
         self._fix_ns = self._settled_ns = self._parameters_ns = -1
 
@@ -65,8 +66,12 @@ class Reference(MotionFilter):
         base.lockout[Kind.RANGE] = lbl.lockout
         base.gate[1:, Kind.RANGE] = base.gate[1:, Kind.POSITION]
         return base._replace(
-            white=gps.white, correlated=gps.correlated**2, surface_depth=gps.surface_depth, rule=gps.rule, drop_s=lbl.drop
-        )  # fmt: skip
+            white=gps.white,
+            correlated=gps.correlated**2,
+            surface_depth=gps.surface_depth,
+            rule=gps.rule,
+            drop_s=lbl.drop,
+        )
 
     def position_variance(self) -> float:
         """Of x and y at the start [m^2]."""
@@ -88,9 +93,7 @@ class Reference(MotionFilter):
             variance = max(record.range_variance, self.own.lbl.sigma_min**2) + beacon.sigma**2
             return np.array([beacon.x, beacon.y, beacon.z, record.range, variance])
 
-        return Intake(
-            f"lbl.{name}", self.own.lbl, Kind.RANGE, BEACON_ROW + index, data, lambda r: content_of(r.range)
-        )
+        return Intake(f"lbl.{name}", self.own.lbl, Kind.RANGE, BEACON_ROW + index, data, lambda r: content_of(r.range))
 
     def take(self, topic: str, record: Record, now_ns: int) -> list[Output]:
         """A range belongs to the middle of its travel."""

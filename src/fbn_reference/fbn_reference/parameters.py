@@ -17,14 +17,21 @@ class GpsParameters(SensorParameters):
     """GPS: most of its error stays for minutes."""
 
     rule: bool = param(True, "-", "use a fix only if it is better than the filter's own position", "ISRR 2007 6")
-    white: float = param(0.06, "-", "least share of the stated variance that is independent from fix to fix", "0.4 m of 1.9 m, and a margin")
+    white: float = param(
+        0.06,
+        "-",
+        "least share of the stated variance that is independent from fix to fix",
+        "0.4 m of 1.9 m, and a margin",
+    )
     correlated: float = param(1.8, "m", "standard deviation, at most, of the part that is not", "ionosphere, orbits")
     time_constant: float = param(240.0, "s", "correlation time of the rest", "ionosphere, orbits: minutes")
     sigma_min: float = param(1.0, "m", "least standard deviation believed", "autonomous receiver")
     sigma_max: float = param(30.0, "m", "a fix worse than this is refused", "assumed")
     surface_depth: float = param(1.0, "m", "a fix from deeper than this is refused", "no reception under water")
     position: Triple = param((-0.3, 0.0, 0.35), "m", "of the antenna in base_link", "Ranger: mast aft")
-    lockout: int = param(20, "-", "consistent outliers in a row after which the gate resets", "20 s: multipath lasts for seconds")
+    lockout: int = param(
+        20, "-", "consistent outliers in a row after which the gate resets", "20 s: multipath lasts for seconds"
+    )
     dead_after: float = param(0.0, "s", "silence worth a warning; 0 = never", "no GPS under water")
     frozen_after: int = param(10, "-", "equal values in a row that noise does not explain; 0 = never", "10 s at 1 Hz")
 

@@ -50,7 +50,10 @@ class MotionEkf:
         self.motions, self.events = MotionLog(), EventLog()
         n = int(self.history_ns / SNAPSHOT_NS) + 20
         self.snapshots = Snapshots(
-            np.full(n, -1, np.int64), np.zeros((n, X_SIZE)), np.zeros((n, size, size)), np.zeros((n, sensors, SENSOR_SIZE))
+            np.full(n, -1, np.int64),
+            np.zeros((n, X_SIZE)),
+            np.zeros((n, size, size)),
+            np.zeros((n, sensors, SENSOR_SIZE)),
         )
         self.state = State(-1, np.zeros(X_SIZE), np.eye(size), fresh_sensors(sensors))
         self.base = self.state

@@ -2,79 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from fbn_common.estimator import Health, Level, Output
-from fbn_common.lie import quaternion_from_matrix
 from fbn_common.motion_ekf.adopt import adopt_covariance
-from fbn_common.motion_ekf.core import MotionEkf, State, fresh_sensors
+from fbn_common.motion_ekf.core import MotionEkf, State
+from fbn_common.motion_ekf.intake import Intake
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
     CLIMB_ROW,
     COMPASS,
     COMPASS_ROW,
     DAMPING,
-    DEPTH,
     DEPTH_ROW,
     GRID_NS,
-    POSITION,
-    ROTATION,
     SIZE_DEADRECK,
     SNAPSHOT_NS,
-    VELOCITY,
     WATER,
-    X_PARAMETERS,
-    X_ROTATION,
-    X_SIZE,
-    X_VELOCITY,
     Config,
     Kind,
-    Reason,
 )
 from fbn_common.motion_ekf.monitor import Watch, all_finite, content_of, health_of, refusal
+from fbn_common.motion_ekf.output import odometry
 from fbn_common.motion_ekf.parameters import (
     AltimeterParameters,
     CompassParameters,
     DepthParameters,
     HistoryParameters,
-    SensorParameters,
     WalkParameters,
     quantile_table,
     walk_densities,
 )
-from fbn_common.motion_ekf.propagate import rotation_of, set_rotation
-from fbn_common.motion_ekf.sensors import Unusable, altitude_data, compass_data, compass_rotation, depth_data
+from fbn_common.motion_ekf.sensors import Unusable, altitude_data, compass_data, depth_data
+from fbn_common.motion_ekf.start import first_state, state_after_gap
+from fbn_common.motion_ekf.warm_up import warm_up
 from fbn_common.parameters import group
-from fbn_common.records import (
-    FluidPressure,
-    Imu,
-    Innovation,
-    Odometry,
-    Pose,
-    PredictedMotion,
-    Range,
-    Record,
-    VehicleParameters,
-    Verdict,
-)
+from fbn_common.records import FluidPressure, Imu, PredictedMotion, Record, VehicleParameters, Verdict
 from fbn_common.types import Array, nanoseconds, seconds
 
-_REASONS = {
-    Reason.NONE: "",
-    Reason.GATE: "outside the gate",
-    Reason.RULE: "no better than the filter's own position",
-    Reason.UNDER_WATER: "a fix under water",
-    Reason.DROPPED: "this beacon disagreed too often",
-    Reason.RESET: "gate reset after consistent outliers",
-    Reason.SINGULAR: "innovation covariance not positive definite",
-    Reason.BASE: "base of the next vertical speed",
-    Reason.TILTED: "does not look down",
-}
 _BRIDGE = np.array([0.02, 0.02, 0.02, 0.05, 0.05, 0.05])  # m^2/s^3, rad^2/s^3: 0.15 m/s and 0.2 rad/s after 1 s
 
 
@@ -87,22 +55,6 @@ class FilterParameters:
     altimeter: AltimeterParameters = group(AltimeterParameters)
     walk: WalkParameters = group(WalkParameters)
     history: HistoryParameters = group(HistoryParameters)
-
-
-@dataclass(slots=True)
-class Intake:
-    """How one topic's records become measurements."""
-
-    sensor: str
-    parameters: SensorParameters
-    kind: Kind
-    row: int
-    data: Callable[[Any], Array | None]
-    content: Callable[[Any], bytes]
-    watch: Watch = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.watch = Watch(self.parameters.frozen_after, self.parameters.dead_after if self.parameters.use else 0.0)
 
 
 class MotionFilter:
@@ -118,7 +70,13 @@ class MotionFilter:
         self.ranks = ranks
         self.intakes = self._common_intakes()
         self.rows = rows
+        self.resets = self._bridged = 0
+        self._inbox: list[tuple[str, Record]] = []
+        self._prior: VehicleParameters | None = None
+        self._now_ns: int = -1
+        self._odometry_ns: int = -1
         self._restart()
+        self._warm_up()
 
     # --- what a subclass says ---------------------------------------------------------------------------
 
@@ -166,8 +124,13 @@ class MotionFilter:
         out: list[Output] = []
         inbox, self._inbox = self._inbox, []
         if now_ns < self._now_ns:
-            out.append(self._say(now_ns, "clock", Verdict.REFUSED, f"went back by {seconds(self._now_ns - now_ns):.3g} s: reset"))
+            out.append(
+                self._say(
+                    now_ns, "clock", Verdict.REFUSED, f"went back by {seconds(self._now_ns - now_ns):.3g} s: reset"
+                )
+            )
             self._restart()
+            self.resets += 1
         self._now_ns = now_ns
         for topic, record in inbox:
             out += self._admit(topic, record, now_ns)
@@ -183,8 +146,12 @@ class MotionFilter:
 
     def health(self) -> Health:
         """One line, and the counters of all sensors."""
-        notes = [*self._notes, *self.notes()]
-        values: dict[str, int | float | str] = {"reruns": self.ekf.reruns, "bridged": self._bridged, "resets": self.resets}
+        notes = self.notes()
+        values: dict[str, int | float | str] = {
+            "reruns": self.ekf.reruns,
+            "bridged": self._bridged,
+            "resets": self.resets,
+        }
         if self.ekf.head_ns < 0:
             wanted = "first compass, depth, motion and parameters"
             health = health_of(self._watches(), self._now_ns, [f"waiting for {wanted}", *notes], values)
@@ -277,19 +244,14 @@ class MotionFilter:
     # --- start, gaps ------------------------------------------------------------------------------------
 
     def _restart(self) -> None:
-        """Forget everything: at construction, and when the clock went back."""
-        self.resets = getattr(self, "resets", -1) + 1
+        """Forget all but the parameters: at construction, and when the clock went back."""
         for intake in self.intakes.values():
-            intake.__post_init__()
+            intake.reset()
         self.ekf = MotionEkf(self.size, self.rows, self.config(), self.parameters.history.length, self._adopt)
-        self._inbox: list[tuple[str, Record]] = []
         self._pending: dict[int, Intake] = {}
         self._adoptions: dict[int, VehicleParameters] = {}
         self._first: dict[Kind, list[Any]] = {}
-        self._notes: list[str] = []
-        self._prior: VehicleParameters | None = getattr(self, "_prior", None)
         self._now_ns = self._odometry_ns = -1
-        self._bridged = 0
 
     def _try_start(self, now_ns: int) -> list[Output]:
         """Start at the first stamp by which compass and depth have measured and motions reach."""
@@ -313,32 +275,17 @@ class MotionFilter:
         return self._too_early(t0)
 
     def _initial(self, t0: int, imu: Imu, pressure: FluidPressure | None) -> State:
-        """Attitude and z from the first measurements, with their errors correlated to the sensors' own."""
+        """The state at the start, from the first measurements."""
         assert self._prior is not None
-        x, p = np.zeros(X_SIZE), np.zeros((self.size, self.size))
-        config, c = self.ekf.config, self.parameters.compass
-        set_rotation(x, compass_rotation(imu))
-        x[X_PARAMETERS:] = self._prior.mean
-        k = (t0 // GRID_NS + 1) % len(self.ekf.motions.rows.stamp)
-        x[X_VELOCITY : X_VELOCITY + 6] = self.ekf.motions.rows.mean[k, 6:12]
-        p[POSITION, POSITION] = p[POSITION + 1, POSITION + 1] = self.position_variance()
-        p[VELOCITY : VELOCITY + 6, VELOCITY : VELOCITY + 6] = np.diag([0.5, 0.3, 0.3, 0.3, 0.3, 0.3]) ** 2
-        p[ACTUATION : WATER + 3, ACTUATION : WATER + 3] = self._prior.covariance + 1e-12 * np.eye(15)
-        n = self.size - COMPASS
-        p[COMPASS:, COMPASS:] = np.diag(config.variance[:n])
-        r = rotation_of(x)
-        h = np.column_stack((np.eye(3)[:, :2], r[2]))  # attitude's error by the compass's own
-        own = slice(COMPASS, COMPASS + 3)
-        white = compass_data(imu, c)[9:].reshape(3, 3)
-        attitude = slice(ROTATION, ROTATION + 3)
-        p[attitude, own] = -h @ p[own, own]
-        p[own, attitude] = p[attitude, own].T
-        p[attitude, attitude] = r.T @ white @ r + h @ p[own, own] @ h.T
-        z, variance = (0.0, 100.0) if pressure is None else depth_data(pressure, self.parameters.depth)
-        x[2] = z - (r @ np.array(self.parameters.depth.position))[2]
-        p[2, 2] = variance + p[DEPTH, DEPTH]
-        p[2, DEPTH] = p[DEPTH, 2] = -p[DEPTH, DEPTH] if pressure is not None else 0.0
-        return State(t0, x, p, fresh_sensors(self.rows))
+        compass, motions = compass_data(imu, self.parameters.compass), self.ekf.motions.rows
+        k = (t0 // GRID_NS + 1) % len(motions.stamp)
+        depth = None
+        if pressure is not None:
+            depth = depth_data(pressure, self.parameters.depth)
+            depth[0] -= compass[6:9] @ np.array(self.parameters.depth.position)
+        own = self.ekf.config.variance[: self.size - COMPASS]
+        velocity = motions.mean[k, 6:12]
+        return first_state(t0, compass, depth, self._prior, velocity, self.position_variance(), own, self.rows)
 
     def _too_early(self, t0: int) -> list[Output]:
         """Answer what was measured before the start."""
@@ -366,22 +313,21 @@ class MotionFilter:
             ekf.motions.bridge(end, _BRIDGE)
             self._bridged += 1
             end += GRID_NS
-        said = self._say(head, "predict", Verdict.REFUSED, f"motions of {seconds(end - GRID_NS - head):.2f} s missing: velocity held")
+        said = self._say(
+            head, "predict", Verdict.REFUSED, f"motions of {seconds(end - GRID_NS - head):.2f} s missing: velocity held"
+        )
         ekf.advance(now_ns)
         return [said]
 
     def _leap(self, t1: int) -> list[Output]:
         """Go on at ``t1`` with the position as it was, uncertain by what may have happened in the gap."""
-        t, x, p, sensors = self.ekf.state.copy()
-        gap = seconds(t1 - t)
-        opened = np.zeros(self.size)
-        opened[:3] = (self.parameters.history.drift_speed * gap) ** 2
-        opened[ROTATION : ROTATION + 3] = 1.0
-        opened[VELOCITY : VELOCITY + 6] = 0.25
-        self.ekf.start(State(t1 // GRID_NS * GRID_NS, x, p + np.diag(opened), sensors))
+        gap = seconds(t1 - self.ekf.head_ns)
+        self.ekf.start(state_after_gap(self.ekf.state, t1, self.parameters.history.drift_speed))
         self._odometry_ns = -1
         self.resets += 1
-        return [self._say(t1, "predict", Verdict.REFUSED, f"gap of {gap:.1f} s in the motions: started anew, position kept")]
+        return [
+            self._say(t1, "predict", Verdict.REFUSED, f"gap of {gap:.1f} s in the motions: started anew, position kept")
+        ]
 
     # --- what goes out ----------------------------------------------------------------------------------
 
@@ -391,20 +337,9 @@ class MotionFilter:
         stamps = self.ekf.events.rows.stamp
         done = [slot for slot in self._pending if stamps[slot] <= self.ekf.head_ns]
         for slot in sorted(done, key=lambda s: (int(stamps[s]), s)):
-            out.append(self._answer(slot, self._pending.pop(slot)))
+            answer = self._pending.pop(slot).answer(self.ekf.events.rows, slot, self.frame_id)
+            out.append(Output(f"{self.name}/innovations", answer))
         return out
-
-    def _answer(self, slot: int, intake: Intake) -> Output:
-        e = self.ekf.events.rows
-        n, verdict, reason = int(e.dof[slot]), Verdict(int(e.verdict[slot])), _REASONS[Reason(int(e.reason[slot]))]
-        intake.watch.verdicts[verdict.name] += 1
-        if Reason(int(e.reason[slot])) is Reason.RESET:
-            intake.watch.verdicts["RESET"] += 1
-        record = Innovation(
-            int(e.stamp[slot]), self.frame_id, intake.sensor, float(e.nis[slot]), n, verdict, reason,
-            e.innovation[slot, :n].copy(), e.sigma[slot, :n].copy(),
-        )  # fmt: skip
-        return Output(f"{self.name}/innovations", record)
 
     def _refuse(self, intake: Intake, stamp_ns: int, verdict: Verdict, reason: str) -> Output:
         intake.watch.verdicts[verdict.name] += 1
@@ -432,40 +367,9 @@ class MotionFilter:
         """Whether there is odometry to publish at all."""
         return True
 
+    def _warm_up(self) -> None:
+        """Compile (or load) every kernel now, so that no first message is late."""
+        warm_up(self.ekf.config, self.size, self.rows)
+
     def _watches(self) -> dict[str, Watch]:
         return {i.sensor: i.watch for i in self.intakes.values()}
-
-
-def pose_of(x: Array) -> Pose:
-    """Position and orientation of a state."""
-    return Pose(x[0:3].copy(), quaternion_from_matrix(rotation_of(x)))
-
-
-@njit(cache=True)
-def _covariances(x: Array, p: Array) -> tuple[Array, Array]:
-    """Pose covariance in fixed axes and twist covariance, (6, 6) each."""
-    turn = np.eye(6)
-    for i in range(3):
-        for j in range(3):
-            turn[3 + i, 3 + j] = x[X_ROTATION + 3 * i + j]
-    half, pose, twist = np.zeros((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
-    for i in range(6):
-        for k in range(6):
-            if turn[i, k] != 0.0:
-                for j in range(6):
-                    half[i, j] += turn[i, k] * p[k, j]
-    for i in range(6):
-        for j in range(i + 1):
-            for k in range(6):
-                pose[i, j] += half[i, k] * turn[j, k]
-            pose[j, i] = pose[i, j]
-        for j in range(6):
-            twist[i, j] = p[VELOCITY + i, VELOCITY + j]
-    return pose, twist
-
-
-def odometry(state: State, frame_id: str) -> Odometry:
-    """A state as odometry: covariances in ROS order, fixed axes."""
-    pose, twist = _covariances(state.x, state.covariance)
-    velocity = state.x[X_VELOCITY : X_VELOCITY + 6].copy()
-    return Odometry(state.stamp_ns, frame_id, "base_link", pose_of(state.x), velocity, pose, twist)

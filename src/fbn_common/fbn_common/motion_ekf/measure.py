@@ -76,7 +76,7 @@ def _lever_rows(x: Array, lever: Array, h: Array, row: int, axis: int, at: int) 
     h[row, at] = r[axis, 2] * lever[1] - r[axis, 1] * lever[2]
     h[row, at + 1] = r[axis, 0] * lever[2] - r[axis, 2] * lever[0]
     h[row, at + 2] = r[axis, 1] * lever[0] - r[axis, 0] * lever[1]
-    return r[axis, 0] * lever[0] + r[axis, 1] * lever[1] + r[axis, 2] * lever[2]
+    return float(r[axis, 0] * lever[0] + r[axis, 1] * lever[1] + r[axis, 2] * lever[2])
 
 
 @njit(cache=True)
@@ -87,14 +87,21 @@ def _depth(
     lever = config.lever[_DEPTH]
     offset = _lever_rows(x, lever, h, 0, 2, 1)
     nu[0], noise[0, 0] = data[0] - x[2] - offset, data[1]
-    columns[0], columns[4], h[0, 0], h[0, 4] = POSITION + 2, DEPTH, 1.0, np.sqrt(1.0 + (config.depth_scale * data[0]) ** 2)
+    columns[0], columns[4], h[0, 0], h[0, 4] = (
+        POSITION + 2,
+        DEPTH,
+        1.0,
+        np.sqrt(1.0 + (config.depth_scale * data[0]) ** 2),
+    )
     for i in range(3):
         columns[1 + i] = ROTATION + i
     return 1, 5
 
 
 @njit(cache=True)
-def _climb(x: Array, data: Array, row: Array, dt: float, nu: Array, noise: Array, columns: IntArray, h: Array) -> tuple[int, int]:
+def _climb(
+    x: Array, data: Array, row: Array, dt: float, nu: Array, noise: Array, columns: IntArray, h: Array
+) -> tuple[int, int]:
     """``(R v)_z``, measured by the altitude's change since the base ``dt`` ago, less what the bottom may do."""
     velocity = x[X_VELOCITY : X_VELOCITY + 3]
     r = rotation_of(x)
@@ -131,7 +138,9 @@ def _position(
 
 
 @njit(cache=True)
-def _range(x: Array, data: Array, lever: Array, nu: Array, noise: Array, columns: IntArray, h: Array) -> tuple[int, int]:
+def _range(
+    x: Array, data: Array, lever: Array, nu: Array, noise: Array, columns: IntArray, h: Array
+) -> tuple[int, int]:
     """``|p + R lever - beacon|``."""
     offset, arm = np.empty(3), np.zeros((3, 3))
     for i in range(3):
@@ -148,7 +157,16 @@ def _range(x: Array, data: Array, lever: Array, nu: Array, noise: Array, columns
 
 @njit(cache=True)
 def model(
-    kind: int, x: Array, data: Array, row: Array, time_s: float, config: Config, nu: Array, noise: Array, columns: IntArray, h: Array
+    kind: int,
+    x: Array,
+    data: Array,
+    row: Array,
+    time_s: float,
+    config: Config,
+    nu: Array,
+    noise: Array,
+    columns: IntArray,
+    h: Array,
 ) -> tuple[int, int]:
     """The model of a kind of measurement; ``h`` comes zeroed.  Gives the numbers of rows and of columns."""
     if kind == _COMPASS:

@@ -32,7 +32,7 @@ class Watch:
     _equal: int = 0
 
     def objection(self, stamp_ns: int, content: bytes, bounds: tuple[int, int]) -> tuple[Verdict, str] | None:
-        """Why a measurement of this stamp and content is not to be used; ``bounds``: oldest and newest stamp allowed."""
+        """Why a measurement is not to be used; ``bounds``: oldest and newest stamp allowed."""
         oldest, newest = bounds
         if stamp_ns > newest:
             return Verdict.REFUSED, f"stamp {seconds(stamp_ns - newest):.3g} s too far ahead of the clock"
@@ -82,7 +82,9 @@ def all_finite(*values: float | Array) -> bool:
     return all(isfinite(v) if isinstance(v, float | int) else bool(np.isfinite(v).all()) for v in values)
 
 
-def health_of(watches: dict[str, Watch], now_ns: int, notes: Iterable[str], values: dict[str, int | float | str]) -> Health:
+def health_of(
+    watches: dict[str, Watch], now_ns: int, notes: Iterable[str], values: dict[str, int | float | str]
+) -> Health:
     """One line from all sensors' complaints and the estimator's own notes, and the counters."""
     complaints = [f"{name}: {text}" for name, w in watches.items() if (text := w.complaint(now_ns))]
     lines = [*notes, *complaints]

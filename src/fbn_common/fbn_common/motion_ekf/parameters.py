@@ -39,10 +39,16 @@ class CompassParameters(SensorParameters):
     tilt: float = param(0.0105, "rad", "standard deviation of the mount's tilt", "0.6 deg")
     time_constant: float = param(600.0, "s", "correlation time of deviation", "warming up")
     tilt_time_constant: float = param(1e5, "s", "correlation time of tilt", "a mount does not move")
-    heading_scale: float = param(1.0, "rad", "change of heading over which deviation decorrelates", "once a circle: sine")
-    wave_acceleration: float = param(0.3, "m/s^2", "standard deviation at the surface, taken for gravity", "waves of 0.25 m, 3 s")
+    heading_scale: float = param(
+        1.0, "rad", "change of heading over which deviation decorrelates", "once a circle: sine"
+    )
+    wave_acceleration: float = param(
+        0.3, "m/s^2", "standard deviation at the surface, taken for gravity", "waves of 0.25 m, 3 s"
+    )
     wave_depth: float = param(2.0, "m", "depth over which it falls by e", "waves of 3 s")
-    dip: float = param(1.18, "rad", "inclination of the earth's field: acceleration tilts the vertical and turns yaw", "68 deg")
+    dip: float = param(
+        1.18, "rad", "inclination of the earth's field: acceleration tilts the vertical and turns yaw", "68 deg"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +73,9 @@ class AltimeterParameters(SensorParameters):
 
     sigma: float = param(0.05, "m", "standard deviation of a range", "data sheet class")
     slope: float = param(0.1, "-", "standard deviation of the bottom's slope along the track", "gentle bed, stones")
-    baseline: float = param(1.0, "s", "time between the two altitudes of a vertical speed", "noise against acceleration")
+    baseline: float = param(
+        1.0, "s", "time between the two altitudes of a vertical speed", "noise against acceleration"
+    )
     max_tilt: float = param(0.35, "rad", "no use beyond this tilt", "20 deg")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 from numba import njit
 
@@ -9,8 +11,8 @@ from fbn_common.motion_ekf.layout import (
     ALTITUDE,
     ALTITUDE_TIME,
     DROPPED_UNTIL,
-    GPS_ROW,
     GATED_RUN,
+    GPS_ROW,
     GRID_NS,
     LAST,
     LAST_USED,
@@ -40,7 +42,7 @@ DONE, NO_MOTION, OUTSIDE = 0, 1, 2  # why `run` came back
 @njit(cache=True)
 def largest_eigenvalue(xx: float, xy: float, yy: float) -> float:
     """Of a symmetric 2x2 matrix."""
-    return 0.5 * (xx + yy) + np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    return 0.5 * (xx + yy) + sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
 
 
 @njit(cache=True)
@@ -70,7 +72,7 @@ def _consistent(row: Array, nu: Array, noise: Array, m: int, gate: float) -> boo
 @njit(cache=True)
 def _others_agree(sensors: Array, s: int, time_s: float, window_s: float) -> bool:
     """Whether another source of position was used within the window."""
-    for i in range(GPS_ROW, sensors.shape[0]):
+    for i in range(GPS_ROW, sensors.shape[0]):  # noqa: SIM110  numba
         if i != s and time_s - sensors[i, LAST_USED] < window_s:
             return True
     return False
@@ -83,7 +85,7 @@ def _open(p: Array, kind: int, nu: Array, m: int) -> None:
     for i in range(m):
         size += nu[i] * nu[i]
     first, count = 3, 3
-    if kind == _POSITION or kind == _RANGE:
+    if kind == _POSITION or kind == _RANGE:  # noqa: SIM109  numba
         first, count = 0, 2
     elif kind == _CLIMB:
         first, count = 6, 3
@@ -235,7 +237,5 @@ def run(
         if i < last:
             until = min(until, events.stamp[events.order[i]])
         begin = end - GRID_NS
-        propagate(
-            x, p, motions, k, (t - begin) / GRID_NS, (until - begin) / GRID_NS, (until - t) * 1e-9, config
-        )
+        propagate(x, p, motions, k, (t - begin) / GRID_NS, (until - begin) / GRID_NS, (until - t) * 1e-9, config)
         t = until

@@ -1,0 +1,63 @@
+"""How a topic's records become measurements of the timeline, and how each of them is answered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from fbn_common.motion_ekf.layout import Events, Kind, Reason
+from fbn_common.motion_ekf.monitor import Watch
+from fbn_common.motion_ekf.parameters import SensorParameters
+from fbn_common.records import Innovation, Verdict
+from fbn_common.types import Array
+
+_REASONS = {
+    Reason.NONE: "",
+    Reason.GATE: "outside the gate",
+    Reason.RULE: "no better than the filter's own position",
+    Reason.UNDER_WATER: "a fix under water",
+    Reason.DROPPED: "this beacon disagreed too often",
+    Reason.RESET: "gate reset after consistent outliers",
+    Reason.SINGULAR: "innovation covariance not positive definite",
+    Reason.BASE: "base of the next vertical speed",
+    Reason.TILTED: "does not look down",
+}
+
+
+@dataclass(slots=True)
+class Intake:
+    """How one topic's records become measurements."""
+
+    sensor: str
+    parameters: SensorParameters
+    kind: Kind
+    row: int
+    data: Callable[[Any], Array | None]
+    content: Callable[[Any], bytes]
+    watch: Watch = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.watch = self._new_watch()
+
+    def _new_watch(self) -> Watch:
+        p = self.parameters
+        return Watch(p.frozen_after, p.dead_after if p.use else 0.0)
+
+    def reset(self) -> None:
+        """Forget what came in; the counters stay."""
+        verdicts = self.watch.verdicts
+        self.watch = self._new_watch()
+        self.watch.verdicts = verdicts
+
+    def answer(self, events: Events, slot: int, frame_id: str) -> Innovation:
+        """What became of the measurement in this slot; counts it."""
+        n, reason = int(events.dof[slot]), Reason(int(events.reason[slot]))
+        verdict = Verdict(int(events.verdict[slot]))
+        self.watch.verdicts[verdict.name] += 1
+        if reason is Reason.RESET:
+            self.watch.verdicts["RESET"] += 1
+        return Innovation(
+            int(events.stamp[slot]), frame_id, self.sensor, float(events.nis[slot]), n, verdict, _REASONS[reason],
+            events.innovation[slot, :n].copy(), events.sigma[slot, :n].copy(),
+        )  # fmt: skip
