@@ -18,7 +18,7 @@ from fbn_tracking.parameters import TrackingParameters, blazed_array_pair
 
 @dataclass(frozen=True)
 class World:
-    """What is out there and how well it is measured; ``noise`` scales all noise but the echoes'."""
+    """What is out there and how well it is measured."""
 
     targets: Array
     speed: float = 0.8
@@ -37,6 +37,7 @@ class World:
     pitch: float = 0.03  # rad, amplitude
     yaw_rate: float = 0.0
     time_constant: float = 600.0
+    noise: float = 1.0  # scales what is drawn, not the sigmas stated
 
 
 @dataclass
@@ -65,8 +66,8 @@ def simulate(world: World, pings: int, seed: int) -> Run:
             p_new[2] = -world.depth + 0.1 * np.sin(0.3 * t)
             bias = (R.T @ np.array([*world.drift[:2], 0.0]) + np.array([world.drift[2], 0, 0])) * world.period
             root = np.sqrt(world.period)
-            increment = R.T @ (p_new - p) - bias + rng.normal(size=3) * world.step_sigma * root
-            R_increment = R.T @ R_new @ so3_exp(rng.normal(size=3) * world.turn_sigma * root)
+            increment = R.T @ (p_new - p) - bias + world.noise * rng.normal(size=3) * world.step_sigma * root
+            R_increment = R.T @ R_new @ so3_exp(world.noise * rng.normal(size=3) * world.turn_sigma * root)
             R, p = R_new, p_new
             odom_p, odom_R = odom_p + odom_R @ increment, odom_R @ R_increment
         run.poses.append((R, p))
@@ -78,7 +79,7 @@ def simulate(world: World, pings: int, seed: int) -> Run:
 
 def _motion(world, run, stamp, increment, R_increment, odom_R, odom_p, earth_sigma, rng):  # type: ignore[no-untyped-def]
     R, p = run.poses[-1]
-    earth = np.array([p[2], *rpy_from_matrix(np.ascontiguousarray(R))]) + rng.normal(size=4) * earth_sigma
+    earth = np.array([p[2], *rpy_from_matrix(np.ascontiguousarray(R))]) + world.noise * rng.normal(size=4) * earth_sigma
     previous = run.motions[-1].stamp_ns if run.motions else stamp
     root = np.sqrt(world.period)
     sigmas = np.array([world.step_sigma] * 3 + [world.turn_sigma] * 3) * root
@@ -107,7 +108,8 @@ def _scan(world, name, array, stamp, k, R, p, rng):  # type: ignore[no-untyped-d
         r, phi, theta = polar(R_a.T @ (target - p_a))
         inside = array.range_min < r < array.range_max and array.bearing_min < phi < array.bearing_max
         if inside and abs(theta) < 0.5 * array.lobe_width and rng.random() < world.detection_probability:
-            r, phi = r + rng.normal() * world.range_sigma, phi + rng.normal() * world.bearing_sigma
+            r += world.noise * rng.normal() * world.range_sigma
+            phi += world.noise * rng.normal() * world.bearing_sigma
             echoes.append(SonarDetection(r, phi, world.range_sigma, world.bearing_sigma, 0.8))
     for _ in range(rng.poisson(world.clutter)):
         r = rng.uniform(array.range_min, array.range_max)
