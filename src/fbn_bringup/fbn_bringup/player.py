@@ -64,6 +64,7 @@ class Player:
     ) -> None:
         self.executor.remove_node(self.node)
         self.node.destroy_node()
+        self.executor.shutdown()
         rclpy.try_shutdown(context=self.context)
 
     def wait_for_nodes(self) -> None:

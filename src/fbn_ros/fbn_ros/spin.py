@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -57,15 +56,9 @@ def run_node(create: Callable[[], Node], args: Sequence[str] | None = None) -> i
 
 
 def _close(node: Node | None, executor: Executor | None) -> None:
-    if executor is not None and node is not None:
-        executor.remove_node(node)
     if node is not None:
+        if executor is not None:
+            executor.remove_node(node)
+            executor.shutdown()
         node.destroy_node()
     rclpy.try_shutdown()
-
-
-def leave(code: int) -> None:
-    """End the process without waiting for what the middleware's threads do at exit."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)

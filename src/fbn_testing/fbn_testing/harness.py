@@ -94,6 +94,7 @@ class NodeHarness:
         for node in (self.tester, self.node):
             self.executor.remove_node(node)
             node.destroy_node()
+        self.executor.shutdown()
         rclpy.try_shutdown(context=self.context)
 
     def publish(self, topic: str, record: Record) -> None:
