@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from fbn_bringup.cli import main
 from fbn_bringup.evaluation.run import Item
 from fbn_bringup.evaluation.truth import TrueFeature, Truth
+from fbn_bringup.simulation import simulate_to_bag
 from fbn_common import records as r
 from fbn_common.types import NS, Array
+from fbn_ros.bag import BagWriter
 
 START_NS = 1_000 * NS
 DATUM = (42.358, -71.09, 0.0)
@@ -217,3 +223,52 @@ def _odometry(stamp: int, frame: str, position: Array, variance: float) -> r.Odo
     return r.Odometry(
         stamp, frame, "base_link", r.Pose(position, LEVEL), np.array([0.8, 0, 0, 0, 0, 0]), covariance, np.eye(6)
     )
+
+
+@pytest.fixture
+def fbn(monkeypatch, capsys):
+    """The command line, called as from a shell: gives exit status, output and messages."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["fbn", *map(str, arguments)])
+        try:
+            main()
+            status = 0
+        except SystemExit as end:
+            status = int(end.code or 0)
+        heard = capsys.readouterr()
+        return status, heard.out, heard.err
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def story_bag(tmp_path_factory) -> Path:
+    """The story as a bag with its truth beside it."""
+    s, place = Story(), tmp_path_factory.mktemp("story") / "bag"
+    with BagWriter(place) as bag:
+        for item in items_of(s):
+            bag.write(*item)
+    features = [
+        {"id": f.id, "map_id": f.map_id, "target": f.target, "position": f.position.tolist()} for f in s.features()
+    ]
+    datum = dict(zip(("latitude", "longitude", "height"), DATUM, strict=True))
+    (place / "truth.yaml").write_text(yaml.safe_dump({"datum": datum, "features": features}))
+    return place
+
+
+@pytest.fixture(scope="session")
+def short_scenario(tmp_path_factory) -> Path:
+    """The river's scenario, cut after the first minute and a half."""
+    text = resources.files("fbn_sim").joinpath("data", "scenarios", "charles_river_2006.yaml").read_text()
+    document = yaml.safe_load(text)
+    document["mission"]["limit"] = 100.0
+    path = tmp_path_factory.mktemp("scenario") / "short.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+@pytest.fixture(scope="session")
+def short_bag(short_scenario, tmp_path_factory) -> Path:
+    """That scenario as a bag."""
+    return simulate_to_bag(str(short_scenario), tmp_path_factory.mktemp("log") / "short", 1000)

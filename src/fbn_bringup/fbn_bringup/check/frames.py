@@ -104,8 +104,14 @@ def _pitch(times: Stamps, pitch: Array, log: Log) -> Iterator[Finding]:
     rate = np.diff(np.interp(grid, when, depth)) / 2.0
     mean_pitch = np.interp((grid[:-1] + grid[1:]) // 2, times, pitch)
     changing = np.abs(rate) > 0.05
-    if changing.sum() >= FEWEST and np.corrcoef(mean_pitch[changing], rate[changing])[0, 1] < -0.6:
+    if changing.sum() >= FEWEST and _likeness(mean_pitch[changing], rate[changing]) < -0.6:
         text = "the vehicle dives with negative pitch: looks like bow-up positive"
         yield Finding(
             Severity.ERROR, "imu/data", text, "positive pitch is bow down (forward-left-up, REP-103); " + REMEDY
         )
+
+
+def _likeness(a: Array, b: Array) -> float:
+    """Cosine between two series (n,): 1 when they have the same sign and shape; 0 when one is zero."""
+    length = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / length if length > 0.0 else 0.0

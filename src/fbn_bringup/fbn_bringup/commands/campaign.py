@@ -35,7 +35,7 @@ def campaign(
     from fbn_bringup import ui
 
     numbers = _range(seeds)
-    plan = c.Plan(scenario, tuple(params or ()), tuple(settings or ()))
+    plan = c.Plan(scenario, o.parameter_files(params), tuple(settings or ()))
     with ui.progress(f"{scenario}: {len(numbers)} seeds") as advance:
         rows = c.run_campaign(
             plan, numbers, jobs, lambda done: advance(done / len(numbers), f"{done} of {len(numbers)}")
@@ -46,7 +46,7 @@ def campaign(
     for row in rows:
         if row.error:
             ui.err.print(f"[red]seed {row.seed}:[/] {ui.escape(row.error)}")
-    ui.out.print(f"rows: [bold]{written}[/]")
+    ui.out.print(f"rows: [bold]{written}[/]", soft_wrap=True)
     raise typer.Exit(1 if any(row.error for row in rows) else 0)
 
 

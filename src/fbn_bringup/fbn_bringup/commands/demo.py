@@ -47,7 +47,7 @@ def demo(
         page = write_report(run, output / "report", png=True, advance=advance, result=result)
     for table in tables.demo_tables(result, run):
         ui.out.print(table, "")
-    ui.out.print(f"report: [bold]{page}[/]")
+    ui.out.print(f"report: [bold]{page}[/]", soft_wrap=True)
 
 
 def sample_log() -> Path:

@@ -44,7 +44,7 @@ def from_csv(
     from fbn_bringup.importing.importer import import_logs, import_to_bag
     from fbn_bringup.importing.mapping import read_mapping, restrict
 
-    chosen = restrict(read_mapping(mapping_file(mapping)), where or ())
+    chosen = restrict(read_mapping(config_file(mapping, "import")), where or ())
     target = output or files[0].with_suffix("")
     report = import_logs(files, chosen)[1] if dry_run else import_to_bag(files, chosen, target)
     show(report)
@@ -62,27 +62,6 @@ def keys() -> None:
     for d in describe(Mapping):
         table.add_row(d.name, str(d.default), d.unit, d.about)
     ui.out.print(table)
-
-
-def mapping_file(name: str) -> Path:
-    """The mapping file of this path, or the one of this name among those that come along."""
-    from fbn_bringup.ui import fail
-
-    own = Path(__file__).resolve().parents[2] / "config" / "import"
-    for path in (Path(name), own / f"{name}.yaml", _installed() / f"{name}.yaml"):
-        if path.is_file():
-            return path
-    known = sorted(p.stem for p in own.glob("*.yaml"))
-    return fail(f"{name}: no such mapping file; those that come along: {', '.join(known) or 'none'}", 2)
-
-
-def _installed() -> Path:
-    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-
-    try:
-        return Path(get_package_share_directory("fbn_bringup")) / "config" / "import"
-    except PackageNotFoundError:
-        return Path()
 
 
 def show(report: Report) -> None:

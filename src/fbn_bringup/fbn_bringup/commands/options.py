@@ -12,7 +12,12 @@ if TYPE_CHECKING:
 
 Params = Annotated[
     list[Path] | None,
-    typer.Option("--params", "-p", metavar="FILE", help="ROS parameter file; may be repeated, later ones win."),
+    typer.Option(
+        "--params",
+        "-p",
+        metavar="FILE",
+        help="ROS parameter file, or a vehicle that comes along (ranger); may be repeated, later ones win.",
+    ),
 ]
 Set = Annotated[
     list[str] | None,
@@ -38,13 +43,20 @@ def replay_options(
     """What the runners take; files beside the bag serve where none is named."""
     from fbn_bringup.rundir import ReplayOptions
 
-    files = tuple(params or ()) or _existing(bag / PARAMETERS)
+    files = (*_existing(bag / PARAMETERS), *parameter_files(params))
     return ReplayOptions(
         parameter_files=files,
         overrides=overrides(settings, prior_map or map_beside(bag)),
         only=nodes(only),
         namespace=namespace.strip("/"),
     )
+
+
+def parameter_files(params: list[Path] | None) -> tuple[Path, ...]:
+    """Files by path, or vehicles by name."""
+    from fbn_bringup.shipped import config_file
+
+    return tuple(config_file(p) for p in params or ())
 
 
 def nodes(only: str) -> tuple[str, ...]:
@@ -63,11 +75,13 @@ def overrides(settings: list[str] | None, prior_map: Path | None) -> dict[str, o
     import yaml
 
     from fbn_bringup.ui import fail
+    from fbn_common.prior_map import read_prior_map
 
     found: dict[str, object] = {}
     if prior_map is not None:
         if not prior_map.is_file():
             fail(f"{prior_map}: no such map file", 2)
+        read_prior_map(prior_map)  # a broken map is told before anything is started
         found["global.map_file"] = str(prior_map.resolve())
     for setting in settings or ():
         name, equals, value = setting.partition("=")

@@ -43,7 +43,7 @@ def replay(
     chosen = o.replay_options(bag, params, settings, prior_map, namespace, only)
     target = output or Path("out") / bag.resolve().name
     run_replay(bag, target, chosen, offline=offline, rate=rate)
-    ui.out.print(f"run written to [bold]{target}[/]; next: fbn evaluate {target}")
+    ui.out.print(f"run written to [bold]{target}[/]; next: fbn evaluate {target}", soft_wrap=True)
 
 
 def run_replay(bag: Path, target: Path, chosen: object, *, offline: bool, rate: float | None = None) -> object:

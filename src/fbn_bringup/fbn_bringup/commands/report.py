@@ -35,4 +35,4 @@ def report(
         loaded = load_run(run, truth, advance)
     with ui.progress("drawing") as advance:
         page = write_report(loaded, output or run / "report", png=png, advance=advance)
-    ui.out.print(f"report: [bold]{page}[/]")
+    ui.out.print(f"report: [bold]{page}[/]", soft_wrap=True)

@@ -16,7 +16,7 @@ ros2 launch fbn_bringup fbn.launch.py.
 
 Examples:
 
-  fbn run --params ranger.yaml --map field.geojson
+  fbn run --params ranger --map field.geojson
   fbn run --network --namespace ranger  # other hosts may listen
   fbn run --only predict,deadreck  # dead reckoning alone
 """
@@ -35,7 +35,7 @@ def run(
     from fbn_bringup.live import run_live
 
     code = run_live(
-        tuple(params or ()),
+        o.parameter_files(params),
         namespace=namespace.strip("/"),
         overrides=o.overrides(settings, prior_map),
         only=o.nodes(only),

@@ -35,7 +35,7 @@ def sim(
     target = output or Path("out") / f"{Path(scenario).stem}_{'default' if seed is None else seed}"
     with ui.progress(f"simulating {scenario}") as advance:
         written = simulation.simulate_to_bag(scenario, target, seed, advance)
-    ui.out.print(f"bag written to [bold]{written}[/]; next: fbn replay {written}")
+    ui.out.print(f"bag written to [bold]{written}[/]; next: fbn replay {written}", soft_wrap=True)
 
 
 def _list() -> None:

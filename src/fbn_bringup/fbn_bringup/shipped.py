@@ -1,0 +1,35 @@
+"""Configuration files that come along: vehicles, and mappings of other systems' logs, by path or by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fbn_common.parameters import ParameterError
+
+
+def config_file(name: str | Path, folder: str = "") -> Path:
+    """The file of this path, or the one of this name in ``config/`` (or a folder of it).
+
+    Raises ParameterError with the names there are.
+    """
+    places = [place / folder for place in (_source(), _installed())]
+    for path in (Path(name), *(place / f"{name}.yaml" for place in places)):
+        if path.is_file():
+            return path
+    known = sorted({p.stem for place in places for p in place.glob("*.yaml")})
+    raise ParameterError(f"{name}: no such file; those that come along, by name: {', '.join(known) or 'none'}")
+
+
+def _source() -> Path:
+    return Path(__file__).resolve().parents[1] / "config"
+
+
+def _installed() -> Path:
+    try:
+        from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+    except ImportError:
+        return _source()
+    try:
+        return Path(get_package_share_directory("fbn_bringup")) / "config"
+    except PackageNotFoundError:
+        return _source()
