@@ -43,6 +43,7 @@ def from_csv(
     from fbn_bringup import ui
     from fbn_bringup.importing.importer import import_logs, import_to_bag
     from fbn_bringup.importing.mapping import read_mapping, restrict
+    from fbn_bringup.shipped import config_file
 
     chosen = restrict(read_mapping(config_file(mapping, "import")), where or ())
     target = output or files[0].with_suffix("")
