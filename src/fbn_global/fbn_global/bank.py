@@ -19,7 +19,7 @@ from fbn_global.jcbb import jcbb
 from fbn_global.matching import Pairs, Problem
 from fbn_global.memory import Memory
 from fbn_global.merging import merge_found
-from fbn_global.naps import evaluate, surplus_gains
+from fbn_global.naps import evaluate, positive, surplus_gains
 from fbn_global.parameters import GlobalParameters
 from fbn_global.reference_update import Fixed
 from fbn_global.state import XY, Block, Kind, State, equate, remove
@@ -49,16 +49,21 @@ class Bank:
         """Replace every hypothesis by what becomes of it."""
         self.null, *self.rivals = [step(h) for h in self.all]
 
-    def take_fix(self, fix: Callable[[State], Fixed]) -> list[Fixed]:
-        """Apply a fix to every hypothesis; it is evidence between them only when the null hypothesis could use it."""
-        done = [fix(h.state) for h in self.all]
+    def take_fix(self, fix: Callable[[State], Fixed]) -> dict[int, Fixed]:
+        """Apply a fix to every hypothesis, and give what it did to each.
+
+        It is evidence between them only when the null hypothesis could use it: fixes share their errors.
+        """
+        hypotheses = self.all
+        done = [fix(h.state) for h in hypotheses]
         counts = done[0].used
         moved = [
             h.with_state(f.state, f.log_likelihood if counts else 0.0) for h, f in zip(self.all, done, strict=True)
         ]
         self.null, *self.rivals = moved
-        self._rank(self.rivals)
-        return done
+        if self.p.method != "JCBB":
+            self._rank([replace(h, score=self._with_evidence(h)) for h in self.rivals])
+        return {h.id: f for h, f in zip(hypotheses, done, strict=True)}
 
     def take_composite(self, snippet: Snippet, field: Field | None) -> tuple[float, int]:
         """Carry every hypothesis to the composite's P2, associate, and score; gives the null's NIS and its dof."""
@@ -88,6 +93,10 @@ class Bank:
     def _scored(self, h: Hypothesis, field: Field) -> Hypothesis:
         negative = self.p.method == "NAPS"
         return replace(h, score=evaluate(h, self.null, field, self.memory, self.p.scoring, negative))
+
+    def _with_evidence(self, h: Hypothesis) -> Score:
+        """The score with the evidence as it stands now, all else as last evaluated."""
+        return replace(h.score, positive=positive(h, self.null, self.memory, self.p.scoring))
 
     def _rank(self, rivals: list[Hypothesis]) -> None:
         """Keep the best; posteriors over the bank, the null at log ratio 0."""
@@ -236,5 +245,17 @@ class Bank:
         state = remove(h.state, gone | {Block(Kind.FOUND, k) for k in keys})
         return replace(h, state=state, dropped=h.dropped + lost)
 
+    def forget_keys(self) -> None:
+        """The tracker started anew and will use its keys and sequences again: what hung on the old ones goes."""
+        self.memory.forget_all()
+        self.each(_without_keys)
+
     def _origin(self, state: State, snippet: Snippet) -> Array:
         return state.mean[state.span(Block(Kind.ORIGIN, snippet.composite.sequence))]
+
+
+def _without_keys(h: Hypothesis) -> Hypothesis:
+    """A hypothesis without found features and origins; what its pairs taught the map's features stays."""
+    gone = {block for block in h.state.starts if block.kind is not Kind.MAP}
+    pairs = tuple((-1 - n, row) for n, (_, row) in enumerate(h.pairs))
+    return replace(h, state=remove(h.state, gone), pairs=pairs, aliases={}, dropped=h.surplus())

@@ -28,6 +28,7 @@ class Memory:
     """Swept areas by sequence, sightings by key, and the area [m^2] swept in all."""
 
     def __init__(self) -> None:
+        self.last_sequence = -1
         self._areas: dict[int, SweptArea] = {}
         self._sightings: dict[int, list[Sighting]] = {}
         self._cells: set[int] = set()
@@ -36,6 +37,7 @@ class Memory:
     def add(self, composite: CompositeMeasurement, base_xy: Array) -> None:
         """Remember a composite whose base is about there (2,) [m, map]."""
         self._areas[composite.sequence] = composite.swept
+        self.last_sequence = composite.sequence
         for f in composite.features:
             sighting = Sighting(composite.sequence, f.detections, f.expected)
             self._sightings.setdefault(f.key, []).append(sighting)
@@ -53,9 +55,12 @@ class Memory:
         for s in sequences:
             self._areas.pop(s, None)
 
-    def forget_keys(self, keys: set[int]) -> None:
-        for key in keys:
-            self._sightings.pop(key, None)
+    def forget_all(self) -> None:
+        """Forget all but the area swept."""
+        self.last_sequence = -1
+        self._areas.clear()
+        self._sightings.clear()
+        self._gather.cache_clear()
 
     def sweeps(self, sequences: tuple[int, ...]) -> Sweeps:
         return self._gather(sequences)

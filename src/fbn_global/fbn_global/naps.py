@@ -41,10 +41,14 @@ def evaluate(
     h: Hypothesis, null: Hypothesis, field: Field, memory: Memory, p: ScoringParameters, negative: bool
 ) -> Score:
     """The parts of a hypothesis's log ratio to the null."""
-    area = memory.area
-    positive = h.evidence - null.evidence + surplus_log(h.surplus(), area, p) - surplus_log(null.surplus(), area, p)
     prior = float(np.log(field.existence[list(h.rows)]).sum()) + log(p.prior_match / (1.0 - p.prior_match))
-    return Score(positive, negative_information(h, field, memory, p) if negative else 0.0, prior)
+    return Score(positive(h, null, memory, p), negative_information(h, field, memory, p) if negative else 0.0, prior)
+
+
+def positive(h: Hypothesis, null: Hypothesis, memory: Memory, p: ScoringParameters) -> float:
+    """What was compared so far, and what stays unexplained, against the same under the null."""
+    unexplained = surplus_log(h.surplus(), memory.area, p) - surplus_log(null.surplus(), memory.area, p)
+    return h.evidence - null.evidence + unexplained
 
 
 def negative_information(h: Hypothesis, field: Field, memory: Memory, p: ScoringParameters) -> float:

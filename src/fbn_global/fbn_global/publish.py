@@ -72,8 +72,8 @@ def _hypothesis(h: Hypothesis, field: Field | None) -> MatchHypothesis:
         score.posterior,
         score.positive + score.prior,
         score.negative,
-        tuple(field.features[row].id for _, row in h.pairs) if field else (),
-        tuple(key for key, _ in h.pairs),
+        tuple(field.features[row].id for key, row in h.pairs if key >= 0) if field else (),
+        tuple(key for key, _ in h.pairs if key >= 0),  # below 0: of a tracker before its restart
         pose_record(pose),
         fixed_axes(pose, h.state.covariance[POSE, POSE]),
     )

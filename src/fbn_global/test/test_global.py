@@ -247,3 +247,23 @@ def test_a_composite_that_contradicts_its_base_is_gated_and_bridged() -> None:
     last = of(outputs, PoseWithCovarianceStamped)[-1]
     error = last.pose.position[:2] - run.truth[last.stamp_ns][:2]
     assert error @ np.linalg.solve(last.covariance[:2, :2], error) < 13.8  # 99.9 % of chi-square 2
+
+
+def test_a_tracker_that_starts_anew_with_its_old_keys_is_not_taken_for_the_old_one() -> None:
+    """The second run's keys and sequences are the first's again; the match is kept, and still right."""
+    run, again = river(clutter=0.0), river(seed=5, clutter=0.0)
+    end = max(record.stamp_ns for _, record in run.entries)
+    shift = end - 100 * NS + 5 * NS
+    later = [(t, moved(r, shift)) for t, r in again.entries if t in ("tracking/composite", "deadreck/odometry")]
+    estimator = Global(GlobalParameters(), run.prior)
+    feed(estimator, run.entries)
+    outputs = feed(estimator, later)
+    assert not [i for i in of(outputs, Innovation) if i.sensor == "composite" and i.verdict is not Verdict.USED]
+    for h in of(outputs, MatchHypotheses)[-1].hypotheses[:1]:
+        assert all(again.key_feature[k] >= 0 for k in h.feature_keys)
+
+
+def moved(record: Record, shift_ns: int) -> Record:
+    if isinstance(record, CompositeMeasurement):
+        return replace(record, stamp_ns=record.stamp_ns + shift_ns, start_ns=record.start_ns + shift_ns)
+    return replace(record, stamp_ns=record.stamp_ns + shift_ns)
