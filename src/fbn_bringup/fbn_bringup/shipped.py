@@ -25,11 +25,10 @@ def _source() -> Path:
 
 
 def _installed() -> Path:
+    """Where the package is installed; the source where it is not, or where there is no ROS environment."""
     try:
-        from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-    except ImportError:
-        return _source()
-    try:
+        from ament_index_python.packages import get_package_share_directory
+
         return Path(get_package_share_directory("fbn_bringup")) / "config"
-    except PackageNotFoundError:
+    except (ImportError, LookupError, OSError):
         return _source()
