@@ -61,6 +61,7 @@ class MapErrors:
     missing: int = param(0, "-", "features (never the target) that the map lacks", "scenario")
     surplus: int = param(0, "-", "features on the map that are not there", "scenario")
     shift: tuple[float, float] = param((0.0, 0.0), "m", "a blunder on top of the drawn error", "scenario")
+    shift_alone: bool = param(False, "-", "the drawn error's mean is taken off: the shift is all there is", "scenario")
     visibility: float = param(0.67, "-", "detections per scan, as the map states it", "two of three, JOE 2013 III-B")
 
 
@@ -156,5 +157,8 @@ def correlated_errors(positions: Array, errors: MapErrors, rng: np.random.Genera
     distance = np.linalg.norm(positions[:, None, :2] - positions[None, :, :2], axis=2)
     covariance = errors.sigma**2 / (1.0 + distance / errors.correlation_length)
     root = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(positions)))
-    plane = root @ rng.standard_normal((len(positions), 2)) + np.array(errors.shift)
+    plane = root @ rng.standard_normal((len(positions), 2))
+    if errors.shift_alone and len(positions):
+        plane -= plane.mean(axis=0)
+    plane += np.array(errors.shift)
     return np.column_stack([plane, errors.sigma_up * rng.standard_normal(len(positions))])
