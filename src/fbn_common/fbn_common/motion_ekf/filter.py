@@ -287,16 +287,16 @@ class MotionFilter:
         velocity = motions.mean[k, 6:12]
         return first_state(t0, compass, depth, self._prior, velocity, self.position_variance(), own, self.rows)
 
-    def _too_early(self, t0: int) -> list[Output]:
-        """Answer what was measured before the start."""
+    def _too_early(self, t0: int, why: str = "before the filter's start") -> list[Output]:
+        """Answer what was measured before a start and will not be processed."""
         out = []
         n = self.ekf.events.after(t0)
         for slot in self.ekf.events.slots[:n]:
-            self.ekf.events.rows.verdict[slot] = Verdict.REFUSED  # nobody is to take it for a used one
             intake = self._pending.pop(slot, None)
             if intake is not None:
+                self.ekf.events.rows.verdict[slot] = Verdict.REFUSED  # nobody is to take it for a used one
                 stamp = int(self.ekf.events.rows.stamp[slot])
-                out.append(self._refuse(intake, stamp, Verdict.REFUSED, "before the filter's start"))
+                out.append(self._refuse(intake, stamp, Verdict.REFUSED, why))
         return out
 
     def _bridge(self, now_ns: int) -> list[Output]:
@@ -325,9 +325,9 @@ class MotionFilter:
         self.ekf.start(state_after_gap(self.ekf.state, t1, self.parameters.history.drift_speed))
         self._odometry_ns = -1
         self.resets += 1
-        return [
-            self._say(t1, "predict", Verdict.REFUSED, f"gap of {gap:.1f} s in the motions: started anew, position kept")
-        ]
+        why = f"gap of {gap:.1f} s in the motions: started anew, position kept"
+        skipped = self._too_early(self.ekf.head_ns, "in a gap of the motions")
+        return [self._say(t1, "predict", Verdict.REFUSED, why), *skipped]
 
     # --- what goes out ----------------------------------------------------------------------------------
 
