@@ -1,0 +1,90 @@
+"""The EKFs' kernels beside filterpy's EKF of the same size, block by block in turn in one process.
+
+Ours propagates on the manifold (rotation, interpolated motion, 12x24 Jacobian, process noise) and answers a compass
+measurement with gate and verdict; filterpy is given F, H and h(x) for free and only does the linear algebra.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from fbn_common.graph import GRAPH
+from fbn_common.motion_ekf.core import MotionEkf
+from fbn_common.motion_ekf.layout import GRID_NS, Kind
+from fbn_common.motion_ekf.propagate import propagate
+from fbn_common.motion_ekf.run import measure
+from fbn_common.motion_ekf.warm_up import standstill
+from fbn_common.types import seconds
+from fbn_ros.host import resolve
+
+BLOCKS, CALLS = 9, 400
+
+
+class Contest(NamedTuple):
+    """Microseconds a call, medians of the blocks."""
+
+    what: str
+    states: int
+    ours: float
+    filterpy: float
+
+    @property
+    def ratio(self) -> float:
+        """Ours over theirs."""
+        return self.ours / self.filterpy
+
+
+def contests() -> list[Contest]:
+    """Predict and update of both filters."""
+    found = []
+    for name in ("deadreck", "reference"):
+        node = GRAPH.node(name)
+        estimator = resolve(node.estimator)(resolve(node.parameters)())
+        found += _contest(name, estimator.ekf)
+    return found
+
+
+def _contest(name: str, ekf: MotionEkf) -> list[Contest]:
+    n = len(ekf.state.covariance)
+    for k in range(3):
+        ekf.put_motion(standstill(k * GRID_NS))
+    compass = np.concatenate((np.eye(3).ravel(), 0.01 * np.eye(3).ravel()))
+    slot = ekf.put_event(GRID_NS, 0, Kind.COMPASS, 0, compass)
+    x, p, sensors = (a.copy() for a in ekf.state[1:])
+    x[:], p[:] = 0.0, 0.01 * np.eye(n)
+    x[3:12] = np.eye(3).ravel()
+    row, dt = int(np.argmax(ekf.motions.rows.stamp)), seconds(GRID_NS)
+    peer, h = _peer(n), np.eye(3, n, 3)
+    motions, events, config = ekf.motions.rows, ekf.events.rows, ekf.config
+    predict = _in_turn(lambda: propagate(x, p, motions, row, 0.0, 1.0, dt, config), peer.predict)
+    update = _in_turn(
+        lambda: measure(slot, x, p, sensors, events, config),
+        lambda: peer.update(np.zeros(3), lambda s: h, lambda s: h @ s),
+    )
+    return [Contest(f"{name} predict", n, *predict), Contest(f"{name} update, 3 dof", n, *update)]
+
+
+def _peer(n: int) -> ExtendedKalmanFilter:
+    peer = ExtendedKalmanFilter(dim_x=n, dim_z=3)
+    peer.x, peer.P, peer.F = np.zeros(n), 0.01 * np.eye(n), np.eye(n) + 1e-3 * np.eye(n, k=3)
+    peer.Q, peer.R = 1e-8 * np.eye(n), 0.01 * np.eye(3)
+    return peer
+
+
+def _in_turn(ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[float, float]:
+    """Microseconds a call of both, medians over blocks taken in turn."""
+    times = np.array([[_block(ours), _block(theirs)] for _ in range(BLOCKS + 1)])[1:]
+    a, b = np.median(times, axis=0)
+    return float(a), float(b)
+
+
+def _block(call: Callable[[], object]) -> float:
+    begin = time.thread_time()
+    for _ in range(CALLS):
+        call()
+    return (time.thread_time() - begin) / CALLS * 1e6

@@ -1,0 +1,66 @@
+"""All benchmarks, side by side in one run: ``make bench``. Ratios carry over to other machines, seconds do not."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from graph import calibration, graph_speed
+from motion_kernels import contests
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from simulator import real_time_factor
+
+console = Console(highlight=False)
+
+
+def table(title: str, *columns: str) -> Table:
+    """A table, words to the left and numbers to the right."""
+    made = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    for i, column in enumerate(columns):
+        made.add_column(escape(column), justify="right" if i else "left")
+    return made
+
+
+def kernels() -> Table:
+    """EKF kernels against filterpy."""
+    made = table(
+        "EKF kernels beside filterpy's EKF of the same size", "what", "states", "ours [us]", "filterpy [us]", "ratio"
+    )
+    for c in contests():
+        made.add_row(c.what, str(c.states), f"{c.ours:.1f}", f"{c.filterpy:.1f}", f"{c.ratio:.2f}")
+    return made
+
+
+def graph() -> tuple[Table, Table]:
+    """The estimators, and the tracker's pings."""
+    speeds, pings = graph_speed()
+    made = table("Estimators on a mission, one process", "node", "CPU [s]", "times real time")
+    for s in speeds:
+        made.add_row(s.node, f"{s.cpu_s:.2f}", f"{s.factor:.0f}")
+    total = sum(s.cpu_s for s in speeds)
+    made.add_row("all five", f"{total:.2f}", f"{speeds[0].cpu_s * speeds[0].factor / total:.0f}")
+    ms = table("Tracker, per ping", "", "median [ms]", "95 % [ms]", "worst [ms]")
+    ms.add_row(f"{len(pings)} pings", *(f"{1e3 * np.quantile(pings, q):.1f}" for q in (0.5, 0.95, 1.0)))
+    return made, ms
+
+
+def simulator() -> Table:
+    """The simulator."""
+    made = table("Simulator", "scenario", "times real time")
+    made.add_row("charles_river_2006", f"{real_time_factor('charles_river_2006'):.0f}")
+    return made
+
+
+def main() -> int:
+    """Print every table."""
+    loop = calibration()
+    for made in (kernels(), *graph(), simulator()):
+        console.print(made, "")
+    console.print(f"[dim]a fixed Python loop took {loop * 1e3:.0f} ms before and {calibration() * 1e3:.0f} ms after")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
