@@ -245,6 +245,16 @@ class Bank:
         state = remove(h.state, gone | {Block(Kind.FOUND, k) for k in keys})
         return replace(h, state=state, dropped=h.dropped + lost)
 
+    def saved(self) -> tuple[Hypothesis, ...]:
+        """All hypotheses, as they would be without the tracker's keys."""
+        return tuple(_without_keys(h) for h in self.all)
+
+    def restore(self, hypotheses: tuple[Hypothesis, ...]) -> None:
+        """Take these for all there are, the null first."""
+        self.null = hypotheses[0]
+        self._next = 1 + max(h.id for h in hypotheses)
+        self._rank(list(hypotheses[1:]))
+
     def forget_keys(self) -> None:
         """The tracker started anew and will use its keys and sequences again: what hung on the old ones goes."""
         self.memory.forget_all()

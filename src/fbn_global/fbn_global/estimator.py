@@ -23,6 +23,7 @@ from fbn_global.hypotheses import Hypothesis
 from fbn_global.odometry import Reckoned
 from fbn_global.outbox import Outbox
 from fbn_global.parameters import GlobalParameters
+from fbn_global.persistence import Saved, StateFileError, aged, fingerprint, load, save
 from fbn_global.reckoning import Reckoning, Step
 from fbn_global.reference_update import apply_fix
 from fbn_global.state import LOCAL, restart, start
@@ -125,7 +126,7 @@ class Global:
             self._odometry_restarts(latest, odometry)
         reckoned = reckoning.history.add(odometry)
         if self._bank is None:
-            self._begin(reckoned, odometry.pose_covariance)
+            self._restore(self._begin(reckoned, odometry.pose_covariance), reckoned, odometry.pose_covariance)
         elif reckoning.start and odometry.stamp_ns - reckoning.start.stamp_ns > nanoseconds(_IDLE_S):
             self._move(reckoning.move_to(reckoned))
         if self._located:
@@ -149,6 +150,35 @@ class Global:
         self._bank = Bank(start(reckoned.pose, spread, p.drift_sigma**2 * np.eye(3)), self.p)
         self._reckoning.start = reckoned
         return self._bank
+
+    def _restore(self, bank: Bank, reckoned: Reckoned, covariance: Array) -> None:
+        """Take up the state of before a restart, if there is one that fits; else say why not."""
+        path = Path(self.p.state_file)
+        if not self.p.state_file or not path.exists():
+            return
+        try:
+            saved = load(path)
+            if self._field is None or saved.fingerprint != fingerprint(self._field):
+                raise StateFileError(f"{path.name}: is about another map, or the datum is not known yet")
+            age_s = seconds(reckoned.stamp_ns - saved.stamp_ns)
+            if not 0.0 <= age_s <= self.p.state_age_s:
+                raise StateFileError(f"{path.name}: is {age_s:.0f} s old")
+        except StateFileError as error:
+            self._out.answer(reckoned.stamp_ns, "state_file", Answer.REFUSED, str(error))
+            return
+        speed = self.p.state_speed
+        bank.restore(tuple(aged(h, reckoned.pose, covariance, age_s, speed) for h in saved.hypotheses))
+        self._located = True
+        self._verdict = Verdict(reason=f"restored from {age_s:.0f} s ago")
+        self._out.answer(reckoned.stamp_ns, "state_file", Answer.USED, f"{age_s:.0f} s old")
+
+    def _save(self, bank: Bank, stamp_ns: int) -> None:
+        if not self.p.state_file or self._field is None or not self._located:
+            return
+        try:
+            save(Path(self.p.state_file), Saved(stamp_ns, fingerprint(self._field), bank.saved()))
+        except OSError as error:
+            self._out.answer(stamp_ns, "state_file", Answer.REFUSED, f"can't be written: {error}")
 
     def _move(self, step: Step) -> None:
         """One step of every hypothesis's state."""
@@ -200,6 +230,7 @@ class Global:
         self._reckoning.start = self._reckoning.at_end(stamp_ns, composite.p2_odom)
         self._out.innovation(stamp_ns, "composite", Answer.USED, "", np.zeros(0), np.zeros(0), nis, dof)
         self._judge(bank, stamp_ns)
+        self._save(bank, stamp_ns)
         self._out.publish("global/hypotheses", publish.hypotheses_message(stamp_ns, bank, self._field))
         self._publish_map(stamp_ns)
         self._publish_pose()

@@ -124,6 +124,9 @@ class GlobalParameters:
     datum: list[float] = param(
         [], "deg deg m", "origin of map: latitude, longitude, height; empty: reference/datum", "mission"
     )
+    state_file: str = param("", "-", "the state is kept here over restarts; empty: nowhere", "mission")
+    state_age_s: float = param(3600.0, "s", "a state saved longer ago than this is not used", "the tide turns")
+    state_speed: float = param(1.0, "m/s", "how fast the vehicle may have gone since it was saved", "cruising speed")
     method: str = param("NAPS", "-", "NAPS, or POS (no negative information) or JCBB for comparison", "JOE 2013 V")
     status_period_s: float = param(1.0, "s", "global/status at least this often", "homing steers at 1 Hz")
     prior: PriorMapParameters = group(PriorMapParameters)

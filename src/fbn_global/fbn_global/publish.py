@@ -18,7 +18,7 @@ from fbn_common.records import (
 )
 from fbn_common.types import Array, Mat6, Vec6, seconds
 from fbn_global.bank import Bank
-from fbn_global.field import Field
+from fbn_global.field import Field, Rows
 from fbn_global.hypotheses import Hypothesis
 from fbn_global.memory import Memory
 from fbn_global.naps import visibility
@@ -27,6 +27,7 @@ from fbn_global.state import POSE, Block, Indices, Kind, State
 from fbn_global.target import Target, rpy_inverse
 from fbn_global.verdict import Verdict
 
+WHOLE_MAP = 200  # features of the map up to which global/map tells of all: their covariance has (3 n)^2 numbers
 FOUND_IDS = 1_000_000  # ids of found features in global/map: their key above this
 
 
@@ -90,29 +91,38 @@ def map_message(
         features.append(MapFeature(FOUND_IDS + key, f"found {key}", False, 1.0, 0.0, False, position))
         columns.append(h.state.columns(block))
         positions.append(position)
-    covariance = _map_covariance(h.state, field, columns)
+    rows = _told(h.state, field) if field else np.zeros(0, dtype=np.int64)
+    covariance = _map_covariance(h.state, field, rows, columns)
     return FeatureMap(stamp_ns, "map", datum.latitude, datum.longitude, datum.height, tuple(features), covariance)
 
 
 def _prior_features(
     h: Hypothesis, field: Field, memory: Memory, p: ScoringParameters
 ) -> tuple[list[MapFeature], list[Array], list[Indices | None]]:
-    rows = np.arange(len(field.features), dtype=np.int64)
+    rows = _told(h.state, field)
     visible = visibility(h, rows, field, memory, p)
     matched = set(h.rows)
     features: list[MapFeature] = []
     columns: list[Indices | None] = []
-    for row, f in enumerate(field.features):
-        block = Block(Kind.MAP, row)
+    for n, row in enumerate(rows.tolist()):
+        f, block = field.features[row], Block(Kind.MAP, row)
         held = block in h.state
         position = h.state.mean[h.state.span(block)].copy() if held else field.position[row].copy()
         existence = 1.0 if row in matched else float(field.existence[row])
-        features.append(MapFeature(f.id, f.name, True, existence, float(visible[row]), f.target, position))
+        features.append(MapFeature(f.id, f.name, True, existence, float(visible[n]), f.target, position))
         columns.append(h.state.columns(block) if held else None)
     return features, [f.position for f in features], columns
 
 
-def _map_covariance(state: State, field: Field | None, columns: list[Indices | None]) -> Array:
+def _told(state: State, field: Field) -> Rows:
+    """Rows of the map's features worth telling of: all, or of a large map those in the state and the target."""
+    if len(field.features) <= WHOLE_MAP:
+        return np.arange(len(field.features), dtype=np.int64)
+    targets = [row for row, f in enumerate(field.features) if f.target]
+    return np.array(sorted({*state.ids(Kind.MAP), *targets}), dtype=np.int64)
+
+
+def _map_covariance(state: State, field: Field | None, rows: Rows, columns: list[Indices | None]) -> Array:
     """Covariance (3 n, 3 n): the state's where the feature is in it, else the prior's own block."""
     full = np.zeros((3 * len(columns), 3 * len(columns)))
     held = [k for k, c in enumerate(columns) if c is not None]
@@ -122,7 +132,7 @@ def _map_covariance(state: State, field: Field | None, columns: list[Indices | N
         full[np.ix_(to, to)] = state.covariance[np.ix_(at, at)]
     for k, c in enumerate(columns):
         if c is None and field is not None:
-            row = np.array([k], dtype=np.int64)
+            row = rows[k : k + 1]
             full[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = field.covariance(row, row)
     return full
 

@@ -1,0 +1,99 @@
+"""The state over a restart: taken up with its age, or refused by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fbn_common.estimator import Output
+from fbn_common.records import Innovation, Odometry, PoseWithCovarianceStamped, Verdict
+from fbn_common.types import NS
+from fbn_global.estimator import Global
+from fbn_global.parameters import GlobalParameters
+from fbn_testing.composite_world import DATUM, Run, Settings, World, charles_river
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return World(Settings(charles_river(5), ((-40.0, 5.0), (60.0, 5.0)), seed=5)).make()
+
+
+@pytest.fixture
+def parameters(tmp_path: Path) -> GlobalParameters:
+    return GlobalParameters(
+        state_file=str(tmp_path / "state.fbn"), datum=[DATUM.latitude, DATUM.longitude, DATUM.height]
+    )
+
+
+def finish(run: Run, parameters: GlobalParameters) -> Global:
+    estimator = Global(parameters, run.prior)
+    for topic, record in run.entries:
+        estimator.put(topic, record)
+        estimator.advance(record.stamp_ns)
+    return estimator
+
+
+def again(run: Run, parameters: GlobalParameters, after_s: float) -> tuple[Global, list[Output]]:
+    """A new filter that gets one odometry so long after the end, in a new odom frame."""
+    odometry = [r for _, r in run.entries if isinstance(r, Odometry)]
+    stamp_ns = odometry[-1].stamp_ns + round(after_s * NS)
+    estimator = Global(parameters, run.prior)
+    estimator.put("deadreck/odometry", replace(odometry[0], stamp_ns=stamp_ns))
+    return estimator, estimator.advance(stamp_ns)
+
+
+def answers(outputs: list[Output]) -> list[tuple[Verdict, str]]:
+    records = [o.record for o in outputs if isinstance(o.record, Innovation)]
+    return [(r.verdict, r.reason) for r in records if r.sensor == "state_file"]
+
+
+def test_after_a_restart_the_place_is_known_the_less_the_longer_ago(run: Run, parameters: GlobalParameters) -> None:
+    before = finish(run, parameters)
+    poses = []
+    for after in (5.0, 60.0):
+        estimator, outputs = again(run, parameters, after)
+        assert answers(outputs)[0][0] is Verdict.USED
+        assert estimator._bank is not None
+        assert before._bank is not None
+        assert [h.rows for h in estimator._bank.all] == [h.rows for h in before._bank.all]
+        poses.append(next(o.record for o in outputs if isinstance(o.record, Odometry)))
+    # 1 m/s: (60 s)^2 - (5 s)^2 more variance; the drift of one second's carry is far below
+    np.testing.assert_allclose(poses[1].pose_covariance[0, 0] - poses[0].pose_covariance[0, 0], 3600 - 25, rtol=0.02)
+
+
+def test_a_damaged_file_is_refused_by_name_and_the_filter_starts_clean(run: Run, parameters: GlobalParameters) -> None:
+    finish(run, parameters)
+    path = Path(parameters.state_file)
+    data = bytearray(path.read_bytes())
+    for spoiled, reason in ((data[:-100], "damaged"), (b"x" * 50, "no saved state"), (b"", "no saved state")):
+        path.write_bytes(bytes(spoiled))
+        _, outputs = again(run, parameters, 5.0)
+        assert answers(outputs)[0][0] is Verdict.REFUSED
+        assert answers(outputs)[0][1].startswith("state.fbn")
+        assert reason in answers(outputs)[0][1]
+        assert not [o for o in outputs if isinstance(o.record, PoseWithCovarianceStamped)]
+
+
+def test_one_flipped_bit_is_damage(run: Run, parameters: GlobalParameters) -> None:
+    finish(run, parameters)
+    path = Path(parameters.state_file)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(bytes(data))
+    _, outputs = again(run, parameters, 5.0)
+    assert "damaged" in answers(outputs)[0][1]
+
+
+def test_a_state_of_another_map_or_too_old_is_refused(run: Run, parameters: GlobalParameters) -> None:
+    finish(run, parameters)
+    other = replace(run, prior=World(Settings(charles_river(6), ((0.0, 0.0), (30.0, 0.0)), seed=6)).run.prior)
+    assert "another map" in answers(again(other, parameters, 5.0)[1])[0][1]
+    assert "s old" in answers(again(run, parameters, 5000.0)[1])[0][1]
+
+
+def test_no_half_written_file_is_left(run: Run, parameters: GlobalParameters) -> None:
+    finish(run, parameters)
+    assert [p.name for p in Path(parameters.state_file).parent.iterdir()] == ["state.fbn"]
