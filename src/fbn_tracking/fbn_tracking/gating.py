@@ -12,17 +12,19 @@ from fbn_tracking.infants import cholesky_solve
 
 @njit(cache=True)
 def predict_points(
-    points: Array, covariance: Array, t: Array, extra: Array, R: Mat3, p: Vec3, a: float, c: float
+    points: Array, slack: Array, covariance: Array, t: Array, extra: Array, R: Mat3, p: Vec3, a: float, c: float
 ) -> tuple[Array, Array]:
     """What an array at this pose should measure of static points: (m, 3) of r, phi, u, and covariance (m, 3, 3).
 
-    ``covariance`` (m, 5, 5) of point and drift slack, ``t`` (m) [s] the time over which slack acts, ``extra`` (m, 2)
-    the variances of position [m^2] and heading [rad^2] that the poses gathered since.
+    ``slack`` (m, 2) of the drift, ``covariance`` (m, 5, 5) of point and slack, ``t`` (m) [s] the time over which slack
+    acts, ``extra`` (m, 2) the variances of position [m^2] and heading [rad^2] that the poses gathered since.
     """
     m = points.shape[0]
     z, S = np.empty((m, 3)), np.empty((m, 3, 3))
     for i in range(m):
-        s, d = observe(R, p, points[i])
+        moved = p.copy()
+        moved[:2] += slack[i] * t[i]
+        s, d = observe(R, moved, points[i])
         H = np.zeros((3, 5))
         H[:, :3] = d
         H[:, 3], H[:, 4] = -t[i] * d[:, 0], -t[i] * d[:, 1]

@@ -100,8 +100,9 @@ def predict_infants(window: Window, tracks: list[Track], look: Look) -> list[Pre
     extra = np.abs(np.array([ping.travelled - window.pings[i].travelled for i in since]))
     extra[:, 1] = np.minimum(extra[:, 1], heading_bound(ping))
     R, p = array_pose(window.pose(look.index), look.mount)
-    points, covariance = np.array([m.point for _, m in pairs]), np.array([m.covariance for _, m in pairs])
-    z, S = predict_points(points, covariance, t, extra, R, p, look.limits[4], look.limits[5])
+    points, slack = np.array([m.point for _, m in pairs]), np.array([m.x[3:] for _, m in pairs])
+    covariance = np.array([m.covariance for _, m in pairs])
+    z, S = predict_points(points, slack, covariance, t, extra, R, p, look.limits[4], look.limits[5])
     return [Prediction(track, z[i], S[i]) for i, (track, _) in enumerate(pairs)]
 
 

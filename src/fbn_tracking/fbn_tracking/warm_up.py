@@ -29,7 +29,9 @@ def warm_up() -> None:
     x, H, *_ = infants.fit(q, R, p, t, np.stack((z, z)), np.eye(2), zero3, np.eye(3))
     infants.missing_curvature(q, R, p, np.stack((z, z)))
     point, covariance = infants.spread(x, H, R[0], p[0], 0.3, 150.0)
-    zs, S = gating.predict_points(point[None], covariance[None], np.zeros(1), np.zeros((1, 2)), eye3, zero3, 0.3, 150.0)
+    zs, S = gating.predict_points(
+        point[None], np.zeros((1, 2)), covariance[None], np.zeros(1), np.zeros((1, 2)), eye3, zero3, 0.3, 150.0
+    )
     gating.pair_costs(zs, S, z[None])
     gating.beam_weights(point, R, p, np.stack((z, z)))
     infants.symmetric_inverse(np.eye(3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -59,9 +60,7 @@ class Batch:
         first = self.run.motions[0]
         rows = [p[0, :2] - first.pose.position[:2], drift / np.sqrt(np.diag(first.drift_covariance) + 1e-8)]
         for k, m in enumerate(self.run.motions):
-            rows.append(
-                np.sqrt(np.diag(m.earth_information)) * (np.array([p[k, 2], *rpy_from_matrix(R[k])]) - m.earth)
-            )
+            rows.append(np.sqrt(np.diag(m.earth_information)) * (np.array([p[k, 2], *rpy_from_matrix(R[k])]) - m.earth))
             if k:
                 dt = (m.stamp_ns - m.previous_ns) / 1e9
                 step = R[k - 1].T @ (p[k] - p[k - 1] - np.array([drift[0], drift[1], 0.0]) * dt)
@@ -91,8 +90,8 @@ class Batch:
         found = least_squares(self.residuals, x0, xtol=1e-15, ftol=1e-15, gtol=1e-10, x_scale="jac")
         J = self._jacobian(found.x)
         covariance = np.linalg.inv(J.T @ J)
-        O = self._numeric(self.outputs, found.x)
-        return self.outputs(found.x), O @ covariance @ O.T
+        M = self._numeric(self.outputs, found.x)
+        return self.outputs(found.x), M @ covariance @ M.T
 
     def outputs(self, x):
         p, R, drift, points = self.unpack(x)
@@ -145,10 +144,8 @@ def test_the_mean_is_that_of_the_independent_batch(against_batch):
 def test_the_covariance_is_that_of_the_independent_batch(against_batch):
     _, covariance, _, expected, _ = against_batch
     scale = 1.0 / np.sqrt(np.diag(expected))
-    # the batch's Jacobian is numerical (1e-6 steps, 1e-6 relative at large entries), and base's weak prior 1e-3 m, 30 rad
-    np.testing.assert_allclose(
-        covariance * np.outer(scale, scale), expected * np.outer(scale, scale), atol=1e-3
-    )
+    # the batch's Jacobian is numerical, by steps of 1e-6; the base's weak prior (1000 m, 30 rad) it does not have
+    np.testing.assert_allclose(covariance * np.outer(scale, scale), expected * np.outer(scale, scale), atol=1e-3)
 
 
 def test_the_square_root_marginal_is_that_of_a_dense_qr():
@@ -242,7 +239,7 @@ def test_where_nothing_was_seen_the_composite_is_the_motion_alone():
 
 def test_the_stated_prior_is_the_marginal_of_the_part_before():
     parts = _composites(CALM, 40, 1004, CompositeParameters(pings=10, wait_pings=0, window=30))
-    for before, after in zip(parts, parts[1:], strict=False):
+    for before, after in pairwise(parts):
         assert before.stamp_ns == after.start_ns
         np.testing.assert_array_equal(after.prior_mean[:4], before.mean[6:10])
         np.testing.assert_allclose(after.prior_covariance[:4, :4], before.covariance[6:10, 6:10], rtol=1e-12)

@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 
 from fbn_common.lie import matrix_from_rpy
 from fbn_common.sonar import FRAME_BASE_LEVEL, polar
+from fbn_tracking.gating import predict_points
 from fbn_tracking.geometry import elevation_shape, world_point
 from fbn_tracking.infants import cholesky_solve, fit, spread, symmetric_inverse
 
@@ -41,7 +42,7 @@ def _residuals(x, R, p, t, z, slack_sigma):
 def test_the_place_is_that_of_an_independent_least_squares(seed):
     R, p, t, z = _track(np.array([25.0, 2.0, -4.0]), 1.0, seed)
     start = np.array([z[0, 0], z[0, 1], 0.1])
-    x, H, energy, _ = fit(start, R, p, t, z, np.eye(2) / 0.05**2, np.zeros(3), NONE3)
+    _, H, energy, _ = fit(start, R, p, t, z, np.eye(2) / 0.05**2, np.zeros(3), NONE3)
     other = least_squares(_residuals, np.array([*start, 0, 0]), args=(R, p, t, z, 0.05), xtol=1e-14, ftol=1e-14)
     assert energy == pytest.approx(2 * other.cost, rel=1e-4)  # stops at changes of 1e-5 of the energy
     np.testing.assert_allclose(H, other.jac.T @ other.jac, rtol=0.05, atol=0.02 * np.abs(H).max())
@@ -84,3 +85,18 @@ def test_hand_made_linear_algebra_is_right():
 
 def test_a_matrix_that_is_not_positive_definite_gives_nan_not_nonsense():
     assert np.isnan(cholesky_solve(-np.eye(2), np.ones(2))).all()
+
+
+def test_the_prediction_goes_with_the_slack_that_was_found():
+    """Once the slack widened the gate but did not move its middle, and tracks were lost to a current."""
+    R, p, t, z = _track(np.array([25.0, 2.0, -3.0]), 0.0, drift=(0.15, -0.1), n=13)
+    x, H, *_ = fit(
+        np.array([z[0, 0], z[0, 1], 0.05]), R[:12], p[:12], t[:12], z[:12], np.eye(2) / 0.2**2, np.zeros(3), NONE3
+    )
+    point, covariance = spread(x, H, R[0], p[0], *SHAPE)
+    predicted, S = predict_points(
+        point[None], x[None, 3:], covariance[None], t[12:], np.zeros((1, 2)), R[12], p[12], *SHAPE
+    )
+    # the fit of echoes without noise misses the next one by what the priors on slack and lobe pull: under a sigma
+    assert abs(predicted[0, 0] - z[12, 0]) < np.sqrt(S[0, 0, 0] + 0.05**2)
+    assert abs(predicted[0, 0] - z[12, 0]) < 0.1 < 0.15 * 12
