@@ -13,7 +13,7 @@ from fbn_bringup.rundir import Meter, ReplayError
 from fbn_common.graph import Graph
 from fbn_common.records import NodeProgress
 from fbn_ros.bag import BagReader, BagWriter
-from fbn_ros.lockstep import FIRST_STEP, PLAYER, Due, StepGate, progress
+from fbn_ros.lockstep import FIRST_STEP, PLAYER, REPORT, Due, StepGate, progress
 from fbn_ros.node import PROGRESS
 from fbn_ros.qos import profile
 
@@ -51,6 +51,19 @@ class LockStepPlayer(Player):
             self._send(step, content)
             self._wait_for(step - WINDOW)
         self._wait_for(step)
+        self._ask_for_reports()
+
+    def _ask_for_reports(self) -> None:
+        """The nodes' health at the very end, for the summary."""
+        self.health.clear()
+        told = progress(PLAYER, REPORT, self.reader.end_ns, (), {})
+        self._progress.publish(self.conversion.to_message(told))
+        names = {node.name for node in self.graph.nodes}
+        self.spin_until(lambda: names <= self.health.keys(), STEP_LIMIT_S, self._silent)
+
+    def _silent(self) -> ReplayError:
+        names = [node.name for node in self.graph.nodes if node.name not in self.health]
+        return ReplayError(f"{', '.join(names)}: no diagnostics within {STEP_LIMIT_S:g} s of the replay's end")
 
     def _send(self, step: int, content: Step) -> None:
         taken = set(self.inputs)

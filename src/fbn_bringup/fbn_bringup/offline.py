@@ -65,15 +65,21 @@ class Runner:
         self.hosts = hosts
         self._feedback = {topic for host in hosts for topic in host.node.feedback}
         self._cdr = Cdr()
-        self._fed_back: Batch = defaultdict(list)
+        self._fed_back: Batch = defaultdict(list)  # of the step before
+        self._held: Batch = defaultdict(list)  # of this step
 
     @classmethod
     def build(cls, graph: Graph, parameters: dict[str, Any]) -> Runner:
         """The estimators of all nodes, with their parameters by node name."""
         return cls([Host.build(node, parameters[node.name]) for node in graph.nodes])
 
-    def step(self, end_ns: int, logged: Iterable[tuple[int, str, Entry]]) -> list[tuple[str, Record]]:
-        """Take in a step's messages and advance every node; everything published, in order."""
+    def step(
+        self, end_ns: int, logged: Iterable[tuple[int, str, Entry]], *, whole: bool = True
+    ) -> list[tuple[str, Record]]:
+        """Take in a step's messages and advance every node; everything published, in order.
+
+        With ``whole`` false this is only the first part of a step: what closes a loop waits until the step is over.
+        """
         batch: Batch = defaultdict(list)
         for _, topic, entry in logged:
             batch[topic].append(entry)
@@ -85,7 +91,11 @@ class Runner:
                 record = self._cdr.as_sent(record)
                 batch[topic].append(record)
                 published.append((topic, record))
-        self._fed_back = defaultdict(list, {t: batch[t] for t in self._feedback if t in batch})
+        self._fed_back = defaultdict(list)
+        for topic in self._feedback & batch.keys():
+            self._held[topic] += batch[topic]
+        if whole:
+            self._fed_back, self._held = self._held, defaultdict(list)
         return published
 
     def _feed(self, host: Host, batch: Batch) -> None:

@@ -125,5 +125,6 @@ class Player:
         for status in array.status:
             level = Level(int.from_bytes(status.level)).name
             self.health[status.hardware_id] = (level, status.message, {v.key: v.value for v in status.values})
+        self.wake()
         if self.reader.start_ns <= stamp_ns <= self.reader.end_ns + 1_000_000_000:
             self.writer.write_raw(stamp_ns, "diagnostics", "diagnostic_msgs/msg/DiagnosticArray", data)

@@ -16,6 +16,7 @@ from fbn_common.records import NodeProgress, TopicCount
 
 PLAYER = "player"
 FIRST_STEP = 1
+REPORT = 0  # in place of a step, from the player: nothing comes any more, tell your health a last time
 
 
 class Due(NamedTuple):

@@ -28,7 +28,7 @@ from fbn_ros import extras
 from fbn_ros.conversion import Conversion, ConversionError
 from fbn_ros.diagnostics import diagnostic_array
 from fbn_ros.host import Host, resolve
-from fbn_ros.lockstep import Due, StepGate, progress
+from fbn_ros.lockstep import REPORT, Due, StepGate, progress
 from fbn_ros.messages import RclpyMessages
 from fbn_ros.qos import profile
 from fbn_ros.ros_parameters import read_parameters
@@ -136,8 +136,12 @@ class EstimatorNode(RosNode):
         self.create_subscription(message, PROGRESS.name, self._on_progress, profile(PROGRESS, lock_step=True))
 
     def _on_progress(self, message: Any) -> None:
-        self._gate.promise(self._conversion.to_record(PROGRESS.name, NodeProgress, message))
-        self._advance_steps()
+        told = self._conversion.to_record(PROGRESS.name, NodeProgress, message)
+        if told.step == REPORT:
+            self._report(told.stamp_ns)
+        else:
+            self._gate.promise(told)
+            self._advance_steps()
 
     def _advance_steps(self) -> None:
         while (due := self._gate.due()) is not None:
