@@ -17,6 +17,7 @@ from fbn_common import records as r
 from fbn_common.types import NS, Array
 
 SAMPLE = NS  # ns between the samples that statistics rest on
+ANSWER = 5 * NS  # ns after a match at the very end of a dive in which its error is taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +161,8 @@ def _dive(run: Run, leg: Dive, tracks: ErrorTracks, identities: dict[int, int | 
     deadreck, true = run.tracks.get("deadreck/odometry"), run.true_track
     depth_track = (true or deadreck or next(iter(run.tracks.values()))).between(leg.start_ns, leg.end_ns)
     first = leg.start_ns + round((found.after_s or 0.0) * NS)
-    on_map = _horizontal(tracks, "on the map", first, leg.end_ns) if found.declared else np.zeros(0)
+    last = leg.end_ns if first < leg.end_ns else first + ANSWER  # the last composite may be answered on the surface
+    on_map = _horizontal(tracks, "on the map", first, last) if found.declared else np.zeros(0)
     return DiveResult(
         leg.number,
         (leg.start_ns - run.start_ns) / NS,

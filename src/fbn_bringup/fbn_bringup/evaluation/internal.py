@@ -13,7 +13,7 @@ from fbn_bringup.evaluation.series import Track
 from fbn_common.records import NavSatFix
 from fbn_common.types import NS, Array
 
-SETTLE = 20  # s after surfacing in which the best fix is sought: the first ones are poor
+NEAR = 40  # s before and after a leg from which fixes are taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,26 +37,30 @@ def surfacings(fixes: Sequence[NavSatFix], deadreck: Track, legs: Sequence[Dive]
     good = [f for f in good if len(deadreck) and deadreck.stamp_ns[0] <= f.stamp_ns <= deadreck.stamp_ns[-1]]
     found = []
     for leg in legs:
-        before = [f for f in good if leg.start_ns - 2 * SETTLE * NS <= f.stamp_ns <= leg.start_ns]
-        after = [f for f in good if leg.end_ns <= f.stamp_ns <= leg.end_ns + SETTLE * NS]
+        before = [f for f in good if leg.start_ns - NEAR * NS <= f.stamp_ns <= leg.start_ns]
+        after = [f for f in good if leg.end_ns <= f.stamp_ns <= leg.end_ns + NEAR * NS]
         if before and after:
-            found.append(_surfacing(leg, min(before, key=_sigma), min(after, key=_sigma), deadreck))
+            found.append(_surfacing(leg, before, after, deadreck))
     return tuple(found)
 
 
-def _surfacing(leg: Dive, a: NavSatFix, b: NavSatFix, deadreck: Track) -> Surfacing:
-    by_gps = _displacement(a, b)
-    ends = deadreck.at(np.array([a.stamp_ns, b.stamp_ns]))
-    by_reckoning = (ends.position[1] - ends.position[0])[:2]
-    distance = float(deadreck.between(a.stamp_ns, b.stamp_ns).distance()[-1])
-    discrepancy = float(np.linalg.norm(by_gps - by_reckoning))
-    return Surfacing(leg.number, discrepancy, float(np.hypot(_sigma(a), _sigma(b))), distance)
+def _surfacing(leg: Dive, before: list[NavSatFix], after: list[NavSatFix], deadreck: Track) -> Surfacing:
+    """Medians over the fixes near each end, as single ones may be far off."""
+    offset = _offsets(before + after, deadreck)
+    jump = np.median(offset[len(before) :], axis=0) - np.median(offset[: len(before)], axis=0)
+    sigma = np.hypot(np.median([_sigma(f) for f in before]), np.median([_sigma(f) for f in after]))
+    ends = [int(np.median([f.stamp_ns for f in fixes])) for fixes in (before, after)]
+    distance = float(deadreck.between(*ends).distance()[-1])
+    return Surfacing(leg.number, float(np.hypot(*jump)), float(sigma), distance)
 
 
-def _displacement(a: NavSatFix, b: NavSatFix) -> Array:
-    """East and north (2,) [m] from the first fix to the second."""
-    east, north, _ = pymap3d.geodetic2enu(b.latitude, b.longitude, a.altitude, a.latitude, a.longitude, a.altitude)
-    return np.array([float(east), float(north)])
+def _offsets(fixes: list[NavSatFix], deadreck: Track) -> Array:
+    """GPS less dead reckoning (n, 2) [m, east and north], but for a constant."""
+    first = fixes[0]
+    latitude, longitude = np.array([f.latitude for f in fixes]), np.array([f.longitude for f in fixes])
+    east, north, _ = pymap3d.geodetic2enu(latitude, longitude, 0.0, first.latitude, first.longitude, 0.0)
+    reckoned = deadreck.at(np.array([f.stamp_ns for f in fixes])).position[:, :2]
+    return np.asarray(np.stack([east, north], axis=-1) - reckoned)
 
 
 def _sigma(fix: NavSatFix) -> float:

@@ -68,7 +68,7 @@ def map_figure(run: Run, tracks: ErrorTracks) -> go.Figure:
     _add_pose_ellipses(figure, layers)
     if layers.shift is not None and "truth/odometry" in layers.paths:
         moved = layers.paths["truth/odometry"].shifted(np.append(layers.shift, 0.0))
-        figure.add_trace(_path(moved, st.Look("truth, carried onto the map", st.MUTED, 1.2, "dot"), run))
+        figure.add_trace(_path(moved, st.Look("truth, on the final map", st.MUTED, 1.2, "dot"), run))
     if len(layers.gps):
         figure.add_trace(markers(layers.gps, st.GPS, "circle", 3))
     _add_features(figure, layers)
@@ -150,7 +150,7 @@ def _add_pose_ellipses(figure: go.Figure, layers: ly.MapLayers, each: int = 30) 
 def _map_buttons(figure: go.Figure) -> dict[str, Any]:
     """Views: everything; before the map is used, and on the map (the two panels of a paper)."""
     names = [trace.name for trace in figure.data]
-    without = {st.GLOBAL.name, st.ESTIMATED.name, "1σ of global", "truth, carried onto the map"}
+    without = {st.GLOBAL.name, st.ESTIMATED.name, "1σ of global", "truth, on the final map"}
     on_map = {st.GLOBAL.name, st.ESTIMATED.name, st.PRIOR.name, st.TARGET.name, "1σ of global"}
 
     def view(label: str, shown: list[bool | str]) -> dict[str, Any]:

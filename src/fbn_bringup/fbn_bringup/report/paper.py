@@ -70,7 +70,7 @@ def _panel_on_map(axes: Axes, layers: ly.MapLayers) -> None:
     _plane(axes, "(b) on the map")
     if layers.shift is not None and "truth/odometry" in layers.paths:
         moved = layers.paths["truth/odometry"].position[:, :2] + layers.shift
-        axes.plot(*moved.T, color=st.INK, lw=0.9, ls=(0, (2, 1.5)), label="truth, carried onto the map", zorder=2)
+        axes.plot(*moved.T, color=st.INK, lw=0.9, ls=(0, (2, 1.5)), label="truth, on the final map", zorder=2)
     _path(axes, layers, "global/odometry")
     _prior(axes, layers)
     if layers.estimated is not None:
