@@ -31,11 +31,15 @@ PING_MOTION = "deadreck/ping_motion"
 
 
 class Deadreck(MotionFilter):
-    """EKF over pose, velocity and angular actuation; damping, thrust, water and sensor errors are considered."""
+    """EKF over pose, velocity and angular actuation; damping, thrust, water and sensor errors are considered.
+
+    So are x and y: what compass and depth tell of the way already gone would make the track jump.
+    """
 
     name = "deadreck"
     frame_id = "odom"
     size = SIZE_DEADRECK
+    first = 2
     estimated = ESTIMATED_DEADRECK
 
     def __init__(self, parameters: DeadreckParameters) -> None:

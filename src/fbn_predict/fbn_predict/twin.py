@@ -14,7 +14,7 @@ from fbn_common.geodesy import GeodeticPoint, geodetic_from_enu
 from fbn_common.lie import matrix_from_rpy, quaternion_from_matrix, so3_exp
 from fbn_common.motion_ekf.layout import GRID_NS
 from fbn_common.motion_ekf.parameters import AltimeterParameters, CompassParameters, DepthParameters
-from fbn_common.records import FluidPressure, Imu, JointState, NavSatFix, Range, Record
+from fbn_common.records import FluidPressure, Imu, JointState, NavSatFix, Range, Record, SonarDetections
 from fbn_common.types import Array
 from fbn_predict.dynamics import COLUMNS, model_of, step
 from fbn_predict.parameters import PredictParameters, prior
@@ -23,6 +23,7 @@ DATUM = GeodeticPoint(42.0, -71.0, 0.0)
 START_NS = 1_000_000_000_000
 _DT = GRID_NS * 1e-9
 _NONE = np.zeros(3)
+Arrivals = list[tuple[int, str, Record]]  # time of arrival, topic, record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +43,12 @@ class Twin:
 
 
 def sail(
-    parameters: PredictParameters, seconds: float, seed: int, depth: float = 5.0, turn_s: float = 60.0, noisy: bool = True
+    parameters: PredictParameters,
+    seconds: float,
+    seed: int,
+    depth: float = 5.0,
+    turn_s: float = 60.0,
+    noisy: bool = True,
 ) -> Twin:
     """Sail square legs at this depth, GPS within the first and last tenth of the time."""
     rng = np.random.default_rng(seed)
@@ -67,7 +73,9 @@ def sail(
     return Twin(stamps, position, rotation, velocity, p, tuple(records))
 
 
-def _command(t: float, seconds: float, turn_s: float, depth: float, position: Array, rotation: Array, velocity: Array) -> Array:
+def _command(
+    t: float, seconds: float, turn_s: float, depth: float, position: Array, rotation: Array, velocity: Array
+) -> Array:
     """Propeller on; a turn in the last 8 s of each leg; tilt holds the depth."""
     turning = 0.35 if t % turn_s > turn_s - 8.0 else 0.0
     pitch = np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0))
@@ -76,7 +84,9 @@ def _command(t: float, seconds: float, turn_s: float, depth: float, position: Ar
     return np.array([125.66 if t > 2.0 else 0.0, turning, tilt, 0.0, 0.0])
 
 
-def _records(twin: Twin, commands: Array, depth: float, rng: np.random.Generator, noisy: bool) -> list[tuple[str, Record]]:
+def _records(
+    twin: Twin, commands: Array, depth: float, rng: np.random.Generator, noisy: bool
+) -> list[tuple[str, Record]]:
     compass, pressure, altimeter = CompassParameters(), DepthParameters(), AltimeterParameters()
     scale = 1.0 if noisy else 0.0
     out: list[tuple[str, Record]] = []
@@ -95,7 +105,9 @@ def _records(twin: Twin, commands: Array, depth: float, rng: np.random.Generator
             heading = 0.0
             deviation = keep * deviation + scale * np.sqrt(1.0 - keep**2) * rng.normal(0.0, compass.deviation)
             noise = scale * sigma * rng.standard_normal(3)
-            wrong = matrix_from_rpy(np.array([0.0, 0.0, deviation])) @ so3_exp(noise) @ r @ so3_exp(np.array([*tilt, 0.0]))
+            wrong = (
+                matrix_from_rpy(np.array([0.0, 0.0, deviation])) @ so3_exp(noise) @ r @ so3_exp(np.array([*tilt, 0.0]))
+            )
             q = quaternion_from_matrix(np.ascontiguousarray(wrong))
             absent = np.diag([-1.0, 0.0, 0.0])
             out.append(("imu/data", Imu(stamp, "base_link", q, stated, _NONE, absent, _NONE, absent)))
@@ -124,3 +136,15 @@ def _actuators(stamp: int, command: Array, empty: Array) -> JointState:
     names = ("propeller", "pan", "tilt")
     position, velocity = np.array([0.0, command[1], command[2]]), np.array([command[0], 0.0, 0.0])
     return JointState(stamp, "base_link", names, position, velocity, empty)
+
+
+def on_time(twin: Twin) -> Arrivals:
+    """Every record at its stamp, and a ping each 0.7 s."""
+    pings = range(twin.stamp_ns[0] + 3_000_000_000, twin.stamp_ns[-1], 703_000_000)
+    records = [*twin.records, *(("sonar/detections", ping(s)) for s in pings)]
+    return sorted(((r.stamp_ns, topic, r) for topic, r in records), key=lambda a: a[0])
+
+
+def ping(stamp_ns: int) -> SonarDetections:
+    """A ping that heard nothing."""
+    return SonarDetections(stamp_ns, "sonar_left", 0, 4.0, 40.0, 1.2, 1.9, 0.35, ())

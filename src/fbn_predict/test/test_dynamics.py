@@ -20,13 +20,17 @@ DT = 0.01
 RATE = RANGER.propeller_reference
 
 
-def stepped(d: Dynamics, velocity: Array, rotation: Array, p: Array, actuators: Array, depth: float = 3.0) -> tuple[Array, Array]:
+def stepped(
+    d: Dynamics, velocity: Array, rotation: Array, p: Array, actuators: Array, depth: float = 3.0
+) -> tuple[Array, Array]:
     y, s = np.empty(12), np.empty((12, COLUMNS))
     step(velocity, np.ascontiguousarray(rotation), p, actuators, depth, DT, model_of(d), y, s, True)
     return y, s
 
 
-def settled(d: Dynamics, actuators: list[float], seconds: float = 60.0, water: tuple[float, ...] = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
+def settled(
+    d: Dynamics, actuators: list[float], seconds: float = 60.0, water: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> tuple[Array, Array]:
     p = prior(d, Doubt()).mean
     p[12:] = water
     velocity, rotation = np.zeros(6), np.eye(3)

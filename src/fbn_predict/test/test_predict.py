@@ -25,12 +25,22 @@ def parameters() -> PredictParameters:
 
 
 def command(stamp: int, rate: float = 100.0, pan: float = 0.0) -> JointState:
-    return JointState(stamp, "", ("propeller", "pan", "tilt"), np.array([0.0, pan, 0.0]), np.array([rate, 0.0, 0.0]), NONE)
+    return JointState(
+        stamp, "", ("propeller", "pan", "tilt"), np.array([0.0, pan, 0.0]), np.array([rate, 0.0, 0.0]), NONE
+    )
 
 
 def odometry(stamp: int, speed: float, yaw: float = 0.0) -> Odometry:
     q = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
-    return Odometry(stamp, "odom", "base_link", Pose(np.array([0.0, 0, -3]), q), np.array([speed, 0, 0, 0, 0, 0]), np.eye(6), np.eye(6))
+    return Odometry(
+        stamp,
+        "odom",
+        "base_link",
+        Pose(np.array([0.0, 0, -3]), q),
+        np.array([speed, 0, 0, 0, 0, 0]),
+        np.eye(6),
+        np.eye(6),
+    )
 
 
 def motions(outputs: list) -> list[PredictedMotion]:  # type: ignore[type-arg]
@@ -107,7 +117,10 @@ def test_feedback_carries_its_difference_forward_to_now(parameters: PredictParam
 def test_without_actuators_motion_is_predicted_and_uncertain(parameters: PredictParameters) -> None:
     silent, heard = Predict(parameters), Predict(parameters)
     heard.put("actuators", command(T0, 0.0))
-    quiet, told = motions(silent.advance(T0) + silent.advance(T0 + 100_000_000)), motions(heard.advance(T0 + 100_000_000))
+    quiet, told = (
+        motions(silent.advance(T0) + silent.advance(T0 + 100_000_000)),
+        motions(heard.advance(T0 + 100_000_000)),
+    )
     assert silent.health().level is Level.WARN
     assert np.trace(quiet[-1].noise) > 10.0 * np.trace(told[-1].noise)
 
@@ -131,7 +144,9 @@ def test_silence_of_the_actuators_is_named_and_prediction_goes_on(parameters: Pr
         (command(T0 + 60_000_000_000), "ahead of the clock"),
     ],
 )
-def test_a_malformed_command_is_refused_with_its_reason(parameters: PredictParameters, record: JointState, reason: str) -> None:
+def test_a_malformed_command_is_refused_with_its_reason(
+    parameters: PredictParameters, record: JointState, reason: str
+) -> None:
     predict = Predict(parameters)
     predict.put("actuators", record)
     said = [o.record for o in predict.advance(T0 + 20_000_000) if o.topic.endswith("innovations")]

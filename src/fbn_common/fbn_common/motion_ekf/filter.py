@@ -63,6 +63,7 @@ class MotionFilter:
     name = ""
     frame_id = ""
     size = SIZE_DEADRECK
+    first = 0
     estimated = ACTUATION + 3
 
     def __init__(self, parameters: FilterParameters, ranks: dict[str, int], rows: int) -> None:
@@ -92,7 +93,7 @@ class MotionFilter:
             lockout[intake.kind] = intake.parameters.lockout
         lever[Kind.DEPTH] = p.depth.position
         return Config(
-            self.estimated, SNAPSHOT_NS, walk, limit, tau, variance, p.compass.heading_scale, p.compass.dip,
+            self.first, self.estimated, SNAPSHOT_NS, walk, limit, tau, variance, p.compass.heading_scale, p.compass.dip,
             p.compass.wave_acceleration, p.compass.wave_depth,
             p.depth.density_sigma / p.depth.bias, quantile_table(gates), lockout, lever, 1.0, 1.0, 1.0, True, 60.0,
         )  # fmt: skip

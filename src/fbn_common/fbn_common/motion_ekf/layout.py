@@ -110,7 +110,8 @@ class Snapshots(NamedTuple):
 class Config(NamedTuple):
     """Numbers the kernels need; see the parameter classes for units and origin."""
 
-    estimated: int  # leading error states that are estimated; the rest is considered
+    first: int  # error states from here on are estimated ...
+    estimated: int  # ... up to here; the rest is considered
     snapshot_ns: int
     walk: Array  # (15,) power spectral density of the parameters' random walks
     limit: Array  # (15,) variance above which the walk of a parameter stops

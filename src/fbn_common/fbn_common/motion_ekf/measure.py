@@ -241,22 +241,27 @@ def whiten(factor: Array, rows: Array) -> None:
 
 
 @njit(cache=True)
-def correct(x: Array, p: Array, gain: Array, white: Array, estimated: int) -> None:
+def correct(x: Array, p: Array, gain: Array, white: Array, first: int, estimated: int) -> None:
     """Apply the update: ``gain`` is ``L^-1 H P`` (m, n), ``white`` the whitened innovation (m,).
 
-    The downdate ``P -= gain' gain`` leaves out the block of the considered states (Schmidt 1966).  Against the
+    States ``first:estimated`` are corrected.  The downdate ``P -= gain' gain`` leaves out the block of all others,
+    which are considered (Schmidt 1966).  Against the
     optimal posterior that adds a positive semidefinite block: P stays positive definite.
     """
     m, n = gain.shape
     dx = np.zeros(estimated)
     for i in range(m):
-        for j in range(estimated):
+        for j in range(first, estimated):
             dx[j] += gain[i, j] * white[i]
-    for i in range(estimated):
+    for i in range(first, estimated):
         for k in range(m):
             a = gain[k, i]
+            for j in range(first):
+                p[i, j] -= a * gain[k, j]
             for j in range(i, n):
                 p[i, j] -= a * gain[k, j]
+        for j in range(first):
+            p[j, i] = p[i, j]
         for j in range(i + 1, n):
             p[j, i] = p[i, j]
     apply_error(x, dx)

@@ -179,7 +179,7 @@ def measure(e: int, x: Array, p: Array, sensors: Array, events: Events, config: 
     events.verdict[e], events.reason[e] = _USED, reason
     sensors[s, GATED_RUN], sensors[s, LAST_USED] = 0.0, time_s
     whiten(factor, hp)
-    correct(x, p, hp, white[:, 0].copy(), config.estimated)
+    correct(x, p, hp, white[:, 0].copy(), config.first, config.estimated)
 
 
 @njit(cache=True)
