@@ -116,11 +116,15 @@ class Intake:
         return [self.scans.pop(key) for key in due]
 
     def expire(self, now_ns: int) -> list[Innovation]:
-        """Answers for scans whose ping's motion never came."""
+        """Answers for scans whose ping's motion never came, or cannot come for long."""
         late = sorted(key for key in self.scans if key[0] < now_ns - self.ping_wait_ns)
-        for key in late:
+        early = sorted(key for key in self.scans if key[0] > now_ns + self.ping_wait_ns)
+        for key in (*late, *early):
             del self.scans[key]
-        return [refusal(name, stamp, Verdict.LATE, "no motion came for its ping") for stamp, name in late]
+        return [
+            *(refusal(name, stamp, Verdict.LATE, "no motion came for its ping") for stamp, name in late),
+            *(refusal(name, stamp, Verdict.REFUSED, "stamp too far ahead of the clock") for stamp, name in early),
+        ]
 
 
 def usable(scan: SonarDetections, limit: int) -> tuple[list[SonarDetection], list[Innovation]]:

@@ -28,7 +28,7 @@ class FeatureParameters:
         "cubic", "-", "error of the angle around the axis: cubic or linear", "cubic: IROS 2007, eq. 6"
     )
     alpha: float = param(
-        2e-3, "rad^2", "slope of the cubic at the middle of the lobe", "1e-3 to 3e-3 converge best (A2)"
+        2e-3, "rad^2", "slope of the cubic at the middle of the lobe", "1e-3 to 3e-3 converge best in trials"
     )
     weak_theta_sigma: float = param(
         0.35, "rad", "loose bound on theta at the first detection", "two half lobes: damps only"
@@ -52,7 +52,7 @@ class InfantParameters:
     """When an infant is matched, deleted, graduated."""
 
     lifetime: float = param(10.0, "s", "an infant unmatched for so long dies", "IROS 2007 V")
-    clutter: float = param(5.0, "-", "false detections expected per array and ping", "acceptance figure of the project")
+    clutter: float = param(5.0, "-", "false detections expected per array and ping", "assumed: five a ping")
     detections: int = param(7, "-", "least detections to graduate", "7 to 10 in practice, JOE 2013 IV-B")
     sigma_horizontal: float = param(
         0.4, "m", "largest horizontal sigma at graduation", "a fraction of the target spacing"
