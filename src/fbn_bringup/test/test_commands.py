@@ -12,6 +12,7 @@ import yaml
 
 from fbn_bringup import pages
 from fbn_bringup.campaign import Plan, Row, run_seed, spread, spreads
+from fbn_bringup.commands.replay import clear
 from fbn_bringup.simulation import project_root
 from fbn_common.graph import GRAPH
 
@@ -188,3 +189,14 @@ def test_the_demo_ends_with_a_table_and_a_report(fbn, short_bag, tmp_path, monke
     assert "fbn_global" in out and "of distance" in out and "report.html" in out
     assert (tmp_path / "demo" / "report" / "report.html").is_file()
     assert (tmp_path / "demo" / "evaluation.json").is_file()
+
+
+def test_a_run_is_not_overwritten_unless_told_and_nothing_else_is_removed(fbn, short_bag, tmp_path):
+    target = tmp_path / "run"
+    target.mkdir()
+    (target / "run.yaml").write_text("source: elsewhere")
+    (target / "notes.txt").write_text("mine")
+    status, _, err = fbn("replay", short_bag, "--offline", "-o", target)
+    assert status == 1 and "holds a run already" in err
+    clear(target)
+    assert [p.name for p in target.iterdir()] == ["notes.txt"]

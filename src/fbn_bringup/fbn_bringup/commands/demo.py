@@ -24,20 +24,16 @@ def demo(
     offline: Annotated[bool, typer.Option("--offline", help="In one process, without DDS.")] = False,
     seed: Annotated[int | None, typer.Option(help="Simulate this seed instead of the sample log.")] = None,
 ) -> None:
-    from fbn_bringup import simulation, ui
+    from fbn_bringup import ui
     from fbn_bringup.commands.options import replay_options
-    from fbn_bringup.commands.replay import run_replay
+    from fbn_bringup.commands.replay import clear, run_replay
     from fbn_bringup.evaluation import tables
     from fbn_bringup.evaluation.evaluate import evaluate
     from fbn_bringup.evaluation.load import load_run
     from fbn_bringup.report.write import write_report
 
-    bag = sample_log()
-    if seed is not None:
-        with ui.progress(f"simulating seed {seed}") as advance:
-            bag = simulation.simulate_to_bag(
-                BAG.rpartition("/")[2], output.with_name(f"{output.name}_log"), seed, advance
-            )
+    bag = sample_log() if seed is None else simulated_log(output.with_name(f"{output.name}_log_{seed}"), seed)
+    clear(output)
     run_replay(bag, output, replay_options(bag, None, None, None, "", ""), offline=offline)
     with ui.progress("reading the run") as advance:
         run = load_run(output, None, advance)
@@ -48,6 +44,16 @@ def demo(
     for table in tables.demo_tables(result, run):
         ui.out.print(table, "")
     ui.out.print(f"report: [bold]{page}[/]", soft_wrap=True)
+
+
+def simulated_log(target: Path, seed: int) -> Path:
+    """The same scenario of another seed; made once."""
+    from fbn_bringup import simulation, ui
+
+    if not (target / "truth.yaml").is_file():
+        with ui.progress(f"simulating seed {seed}") as advance:
+            simulation.simulate_to_bag(Path(BAG).name, target, seed, advance)
+    return target
 
 
 def sample_log() -> Path:

@@ -35,6 +35,7 @@ def replay(
     settings: o.Set = None,
     prior_map: o.Map = None,
     namespace: o.Namespace = "",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a run that is there.")] = False,
 ) -> None:
     from fbn_bringup import ui
 
@@ -42,6 +43,8 @@ def replay(
         ui.fail("--offline has no clock, so it takes no --rate; leave one of them out", 2)
     chosen = o.replay_options(bag, params, settings, prior_map, namespace, only)
     target = output or Path("out") / bag.resolve().name
+    if overwrite:
+        clear(target)
     run_replay(bag, target, chosen, offline=offline, rate=rate)
     ui.out.print(f"run written to [bold]{target}[/]; next: fbn evaluate {target}", soft_wrap=True)
 
@@ -66,3 +69,15 @@ def run_replay(bag: Path, target: Path, chosen: object, *, offline: bool, rate: 
         from fbn_bringup.replay import replay_nodes
 
         return replay_nodes(bag, target, wanted, on_progress, rate=rate)
+
+
+def clear(target: Path) -> None:
+    """Remove what an earlier run left in a directory, and nothing else."""
+    import shutil
+
+    if not (target / "run.yaml").is_file() and not (target / "bag" / "metadata.yaml").is_file():
+        return
+    for name in ("bag", "report"):
+        shutil.rmtree(target / name, ignore_errors=True)
+    for name in ("run.yaml", "evaluation.json"):
+        (target / name).unlink(missing_ok=True)

@@ -186,7 +186,7 @@ def innovation_limit(values: Array, sigma: Array) -> float:
     """Half the height of an axis that shows a sensor's innovations, but not the huge sigma before a first fix."""
     if not len(values):
         return 0.0
-    return float(max(1.2 * np.quantile(np.abs(values), 0.995), 4.0 * np.median(sigma)))
+    return float(max(1.2 * np.quantile(np.abs(values), 0.995), 3.3 * np.quantile(sigma, 0.75)))
 
 
 NIS_FLOOR = 1e-3  # drawn values; on a logarithmic axis zero has no place
