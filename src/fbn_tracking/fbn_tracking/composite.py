@@ -16,11 +16,11 @@ import numpy as np
 
 from fbn_common.lie import rpy_from_matrix, rpy_jacobian
 from fbn_common.records import CompositeFeature, CompositeMeasurement
-from fbn_common.types import Array, Vec2
+from fbn_common.types import Array, Mat3, Vec2, Vec3
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.gating import beam_weights
 from fbn_tracking.geometry import cartesian_jacobian, cross_matrix, finite_slope
-from fbn_tracking.modes import Surroundings, find_modes, other_elevation
+from fbn_tracking.modes import Surroundings, elevation_posterior, find_modes
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.solver import Solution, solve, square_root_covariance
 from fbn_tracking.swept import swept_area
@@ -65,13 +65,27 @@ def marginalise(window: Window, last: int, slack: Array, feature: FeatureParamet
     if flipped:
         solution = _solve(window, last, tracks, solution.values)
     poses = {i: solution.values.atPose3(pose_key(i)) for i in pings}
+    around = Surroundings(poses, pings, slack, feature)
     mean, covariance = reduce(solution, window.first, last, tracks)
     for number, track in enumerate(tracks):
-        here = slice(10 + 3 * number, 13 + 3 * number)
-        chance, step = other_elevation(modes[track.key])
-        mean[here] += chance * step
-        covariance[here, here] += chance * (1.0 - chance) * np.outer(step, step)
+        if feature.elevation == "cubic":
+            widen(mean, covariance, number, *elevation_posterior(track, theta_of(solution.values, track), around))
     return Part(window, pings, tracks, poses, mean, covariance)
+
+
+def theta_of(values: gtsam.Values, track: Track) -> float:
+    """A feature's smoothed angle around the axis [rad]."""
+    return float(values.atPoint3(feature_key(track.key))[2])
+
+
+def widen(mean: Array, covariance: Array, number: int, shift: Vec3, spread: Mat3) -> None:
+    """Move a feature to its posterior mean, and let its covariance relative to P2 be at least its spread."""
+    here, p2 = slice(10 + 3 * number, 13 + 3 * number), slice(4, 7)
+    cross = covariance[here, p2]
+    relative = covariance[here, here] + covariance[p2, p2] - cross - cross.T
+    values, vectors = np.linalg.eigh(spread - relative)
+    mean[here] += shift
+    covariance[here, here] += (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def old_part(track: Track, last: int) -> Track:

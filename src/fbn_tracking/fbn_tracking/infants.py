@@ -15,6 +15,7 @@ from fbn_common.types import Array, Mat2, Mat3, Vec2, Vec3
 from fbn_tracking.geometry import finite_slope, observe, u_from_theta, world_point
 
 _ITERATIONS = 20
+_PROFILE_ITERATIONS = 4  # nearly linear in all but theta
 _CONVERGED = 1e-5  # of the energy
 
 
@@ -98,6 +99,26 @@ def normal_equations(
     H[:3, :3] += d_q.T @ (memory_information @ d_q)
     g[:3] -= d_q.T @ pull
     return H, g, float(energy + gap @ pull), float(static)
+
+
+@njit(cache=True)
+def profile(
+    thetas: Array, x0: Array, R: Array, p: Array, t: Array, z: Array, drift_information: Mat2
+) -> tuple[Array, Array]:
+    """Energy (m) and world point (m, 3) of the likeliest place at each of the given ``thetas`` (m) [rad]."""
+    energies, points = np.empty(thetas.shape[0]), np.empty((thetas.shape[0], 3))
+    free, none = np.array([0, 1, 3, 4]), np.zeros((3, 3))
+    for i in range(thetas.shape[0]):
+        x = x0.copy()
+        x[2] = thetas[i]
+        for _ in range(_PROFILE_ITERATIONS):
+            H, g, _, _ = normal_equations(x, R, p, t, z, drift_information, np.zeros(3), none)
+            step = cholesky_solve(H[free][:, free], g[free])
+            for k in range(4):
+                x[free[k]] += step[k]
+        _, _, energies[i], _ = normal_equations(x, R, p, t, z, drift_information, np.zeros(3), none)
+        points[i], _ = world_point(R[0], p[0], x[:3].copy())
+    return energies, points
 
 
 @njit(cache=True)

@@ -27,6 +27,7 @@ def warm_up() -> None:
     geometry.observe(eye3, zero3, np.array([1.0, 2.0, 3.0]))
     R, p, t = np.stack((eye3, eye3)), np.zeros((2, 3)), np.zeros(2)
     x, H, *_ = infants.fit(q, R, p, t, np.stack((z, z)), np.eye(2), zero3, np.eye(3))
+    infants.profile(np.array([0.1]), x, R, p, t, np.stack((z, z)), np.eye(2))
     infants.missing_curvature(q, R, p, np.stack((z, z)))
     point, covariance = infants.spread(x, H, R[0], p[0], 0.3, 150.0)
     zs, S = gating.predict_points(
