@@ -90,8 +90,13 @@ class VerdictParameters:
     """When the vehicle counts as matched."""
 
     match_posterior: float = param(0.99, "-", "declare a match above", "1 in 100 may be wrong")
+    null_posterior: float = param(
+        2e-3, "-", "only while nothing-matched is below", "chance fits in 40 fields of another place"
+    )
     keep_posterior: float = param(0.8, "-", "keep it above", "hysteresis")
-    hold_updates: int = param(2, "-", "composites for which it must stay above", "one may be luck")
+    hold_updates: int = param(
+        1, "-", "composites for which it must stay so", "one lasts 30 s: the posterior is proof enough"
+    )
     min_features: int = param(3, "-", "map features matched, at least", "two fix a shift, the third confirms")
     ambiguous_posterior: float = param(0.1, "-", "a mode counts as an alternative above", "1 in 10")
     mode_radius: float = param(

@@ -62,7 +62,7 @@ def judge(before: Verdict, found: list[Mode], null_posterior: float, stamp_ns: i
     if before.matched:
         return _still(before, top, found, p)
     pairs = frozenset(top.best.pairs) if top else frozenset()
-    ready = top is not None and _well_known(top, p) and top.posterior >= p.match_posterior
+    ready = top is not None and _well_known(top, p) and _sure(top, null_posterior, p)
     streak = (before.streak + 1 if agree(before.candidate, pairs) else 1) if ready else 0
     posterior = top.posterior if top else 0.0
     if top is not None and streak >= p.hold_updates:
@@ -104,6 +104,10 @@ def _lost(before: Verdict, reason: str) -> Verdict:
 
 def _well_known(top: Mode, p: VerdictParameters) -> bool:
     return len(top.best.rows) >= p.min_features and top.best.sigma_on_map() < p.lost_sigma
+
+
+def _sure(top: Mode, null_posterior: float, p: VerdictParameters) -> bool:
+    return top.posterior >= p.match_posterior and null_posterior <= p.null_posterior
 
 
 def _unmatched(found: list[Mode], null_posterior: float, p: VerdictParameters) -> tuple[Localization, str]:

@@ -177,13 +177,14 @@ HERE, THERE = ((1, 1), (2, 2), (3, 3)), ((1, 2), (2, 3), (3, 4))
 def verdicts(*updates: list[Mode]) -> list[Verdict]:
     out, now = [], Verdict()
     for k, found in enumerate(updates):
-        now = judge(now, found, 1.0 - sum(m.posterior for m in found), k * NS, VerdictParameters())
+        null = 1.0 - sum(m.posterior for m in found)
+        now = judge(now, found, null, k * NS, VerdictParameters(hold_updates=2))
         out.append(now)
     return out
 
 
 def test_a_match_must_hold_before_it_is_declared_and_is_kept_with_hysteresis() -> None:
-    sure, less = [mode(HERE, 0.999)], [mode(HERE, 0.9)]
+    sure, less = [mode(HERE, 0.9985)], [mode(HERE, 0.9)]
     states = [v.state for v in verdicts(less, sure, sure, less, [mode(HERE, 0.5)])]
     m, u, lost = Localization.MATCHED, Localization.UNMATCHED, Localization.LOST
     assert states == [u, u, m, m, lost]
@@ -200,6 +201,10 @@ def test_a_match_contradicted_by_a_better_place_is_lost_and_found_again_there() 
     here, there = [mode(HERE, 0.999)], [mode(THERE, 0.999, 20.0)]
     m, u, lost = Localization.MATCHED, Localization.UNMATCHED, Localization.LOST
     assert [v.state for v in verdicts(here, here, there, there, there)] == [u, m, lost, lost, m]
+
+
+def test_a_place_without_rival_is_no_match_while_chance_may_have_made_it() -> None:
+    assert verdicts([mode(HERE, 0.995)], [mode(HERE, 0.995)])[-1].state is Localization.UNMATCHED
 
 
 def test_too_few_features_are_no_match_however_sure() -> None:
