@@ -12,12 +12,14 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, WriterError
 
 from fbn_common.graph import GRAPH, SIMULATOR_TOPICS, Topic
 from fbn_common.records import Record
 from fbn_ros.cdr import Cdr
 from fbn_ros.conversion import ConversionError
+from fbn_ros.definitions import typestore
+from fbn_ros.mcap import QuickWriter
 from fbn_ros.qos import bag_qos
 from fbn_ros.salvage import Salvaged, salvage
 
@@ -127,7 +129,7 @@ class BagReader:
         connection, expected = self.connection(topic), self.known[topic].ros_type
         if connection.msgtype != expected:
             raise BagError(f"{self.path}: topic {topic} is {connection.msgtype}, expected {expected}; convert or rename it")
-        ours = self._cdr.messages.store.hash_rihs01(expected)
+        ours = typestore().hash_rihs01(expected)
         if connection.digest and connection.digest != ours and expected.startswith("fbn_msgs/"):
             raise BagError(
                 f"{self.path}: topic {topic}: {expected} was defined otherwise when this was recorded; "
@@ -184,7 +186,7 @@ class BagWriter:
         self._cdr = Cdr()
         self._connections: dict[str, Connection] = {}
         try:
-            self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer = QuickWriter(path, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
         except (WriterError, OSError) as error:
@@ -213,7 +215,7 @@ class BagWriter:
         """Append a message of another bag as it is, whatever its type."""
         if topic not in self._connections:
             origin = source.connection(topic)
-            if origin.msgtype in self._cdr.messages.store.types:
+            if origin.msgtype in typestore().types:
                 self._connections[topic] = self._connect(topic, origin.msgtype)
             else:
                 digest = origin.digest or "RIHS01_" + 64 * "0"
@@ -228,8 +230,9 @@ class BagWriter:
 
     def _connect(self, topic: str, ros_type: str) -> Connection:
         qos = [bag_qos(self.known[topic])] if topic in self.known else []
-        store = self._cdr.messages.store
-        return self._writer.add_connection(_absolute(topic), ros_type, typestore=store, offered_qos_profiles=qos)
+        return self._writer.add_connection(
+            _absolute(topic), ros_type, typestore=typestore(), offered_qos_profiles=qos
+        )
 
 
 def _absolute(topic: str) -> str:

@@ -1,48 +1,82 @@
-"""Records to the bytes that travel and are logged, and back, without ROS."""
+"""Records to the bytes that travel and are logged, and back."""
 
 from __future__ import annotations
 
+import re
 import struct
-from typing import TypeVar
-
-from rosbags.serde import SerdeError
+from typing import Any, Protocol, TypeVar
 
 from fbn_common.records import Record
-from fbn_ros.conversion import Conversion, ConversionError
-from fbn_ros.definitions import RosbagsMessages
+from fbn_ros.conversion import Conversion, ConversionError, MessageFactory
+from fbn_ros.flat import Flat, flat
 
 R = TypeVar("R", bound=Record)
 
-_BROKEN = (SerdeError, AssertionError, IndexError, ValueError, struct.error, MemoryError)
+_BROKEN = (AssertionError, IndexError, ValueError, struct.error, MemoryError, RuntimeError)
+
+
+class Serialiser(Protocol):
+    """A family of message classes that can be made bytes and read again."""
+
+    factory: MessageFactory
+    errors: tuple[type[Exception], ...]  # raised by read for bytes that are no such message
+
+    def write(self, message: Any, ros_type: str) -> bytes: ...
+
+    def read(self, data: bytes, ros_type: str) -> Any: ...
 
 
 class Cdr:
-    """Serialised messages (CDR, little endian) of records."""
+    """Serialised messages (CDR, little endian) of records; by rosbags unless another serialiser is given."""
 
-    def __init__(self, messages: RosbagsMessages | None = None) -> None:
-        self.messages = messages or RosbagsMessages()
-        self.conversion = Conversion(self.messages)
-        self._narrows: dict[str, bool] = {}
+    def __init__(self, serialiser: Serialiser | None = None) -> None:
+        if serialiser is None:
+            from fbn_ros.definitions import RosbagsSerialiser
+
+            serialiser = RosbagsSerialiser()
+        self.serialiser = serialiser
+        self.conversion = Conversion(serialiser.factory)
+        self._flat: dict[type, Flat | None] = {}
+        self._narrow: dict[str, bool] = {}
+        self._errors = (*_BROKEN, *serialiser.errors)
 
     def encode(self, record: Record) -> bytes:
         """The bytes of the record's message."""
-        message = self.conversion.to_message(record)
-        return bytes(self.messages.store.serialize_cdr(message, record.ros_type))
-
-    def as_sent(self, record: R) -> R:
-        """The record as a subscriber gets it: where its message has single-precision numbers, they are rounded."""
-        ros_type = record.ros_type
-        if ros_type not in self._narrows:
-            self._narrows[ros_type] = self.messages.narrows(ros_type)
-        if not self._narrows[ros_type]:
-            return record
-        return self.decode(ros_type, type(record), self.encode(record))
+        quick = self._quick(type(record))
+        if quick is not None:
+            return quick.encode(record)
+        return self.serialiser.write(self.conversion.to_message(record), record.ros_type)
 
     def decode(self, topic: str, record_type: type[R], data: bytes) -> R:
         """The record in a message's bytes, checked; raises ConversionError, also for bytes that are no such message."""
+        quick = self._quick(record_type)
+        record = None if quick is None else quick.decode(data)
+        if record is not None:
+            return record  # type: ignore[return-value]
         try:
-            message = self.messages.store.deserialize_cdr(data, record_type.ros_type)
-        except _BROKEN as error:
+            message = self.serialiser.read(data, record_type.ros_type)
+        except self._errors as error:
             expected = f"the bytes of a {record_type.ros_type}"
             raise ConversionError(topic, "message", expected, f"{len(data)} bytes ({error or 'malformed'})") from None
         return self.conversion.to_record(topic, record_type, message)
+
+    def as_sent(self, record: R) -> R:
+        """The record as a subscriber gets it: where its message has single-precision numbers, they are rounded."""
+        if not self._narrows(record.ros_type):
+            return record
+        return self.decode(record.ros_type, type(record), self.encode(record))
+
+    def _quick(self, kind: type[Record]) -> Flat | None:
+        if kind not in self._flat:
+            self._flat[kind] = flat(kind, self.serialiser.factory.field_types)
+        return self._flat[kind]
+
+    def _narrows(self, ros_type: str) -> bool:
+        """Whether a type holds single-precision numbers, itself or in a part."""
+        if ros_type not in self._narrow:
+            self._narrow[ros_type] = any(map(self._is_narrow, self.serialiser.factory.field_types(ros_type).values()))
+        return self._narrow[ros_type]
+
+    def _is_narrow(self, field_type: str) -> bool:
+        item = re.sub(r"sequence<(.*)>|\[\d*\]", r"\1", field_type)
+        return item == "float" or ("/" in item and self._narrows(item.replace("/", "/msg/")))

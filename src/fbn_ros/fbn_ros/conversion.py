@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from math import isqrt
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -51,6 +51,10 @@ class MessageFactory(Protocol):
 
     def numbers(self, ros_type: str, field: str) -> Callable[[Array | Sequence[int]], Any]:
         """What turns a flat array into the value of this field, in the field's own number type."""
+        ...
+
+    def field_types(self, ros_type: str) -> Mapping[str, str]:
+        """The type's fields in order, with their types as ROS writes them (``double[36]``)."""
         ...
 
 

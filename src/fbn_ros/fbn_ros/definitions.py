@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -58,14 +59,31 @@ class RosbagsMessages:
         dtype = np.dtype(description[0][1][0])
         return lambda values: np.asarray(values, dtype=dtype)
 
-    def narrows(self, ros_type: str) -> bool:
-        """Whether the type holds single-precision numbers, itself or in a part."""
-        return any(self._narrow(description) for _, description in self.store.fielddefs[ros_type][1])
+    def field_types(self, ros_type: str) -> Mapping[str, str]:
+        return {name: _written(description) for name, description in self.store.fielddefs[ros_type][1]}
 
-    def _narrow(self, description: Any) -> bool:
-        kind, detail = description
-        if kind is Nodetype.BASE:
-            return bool(detail[0] == "float32")
-        if kind is Nodetype.NAME:
-            return self.narrows(detail)
-        return self._narrow(detail[0])
+
+class RosbagsSerialiser:
+    """rosbags' serialisation: a :class:`fbn_ros.cdr.Serialiser`."""
+
+    errors = (SerdeError,)
+
+    def __init__(self) -> None:
+        self.factory = RosbagsMessages()
+
+    def write(self, message: Any, ros_type: str) -> bytes:
+        return bytes(self.factory.store.serialize_cdr(message, ros_type))
+
+    def read(self, data: bytes, ros_type: str) -> Any:
+        return self.factory.store.deserialize_cdr(data, ros_type)
+
+
+def _written(description: Any) -> str:
+    """A field's type as ROS's own Python messages write it."""
+    kind, detail = description
+    if kind is Nodetype.BASE:
+        return {"float64": "double", "float32": "float", "bool": "boolean"}.get(detail[0], detail[0])
+    if kind is Nodetype.NAME:
+        return detail.replace("/msg/", "/")
+    inner, length = detail
+    return f"{_written(inner)}[{length}]" if kind is Nodetype.ARRAY else f"sequence<{_written(inner)}>"

@@ -50,21 +50,30 @@ class StepGate:
         self._taken: Counter[str] = Counter()
         self._promises: dict[str, dict[int, NodeProgress]] = {}
         self._played: frozenset[str] = frozenset()
+        self._short = 0  # messages that the topic looked at last still lacks
+        self._short_topic = ""
 
     def add(self, topic: str, message: Any) -> None:
         """A message has come."""
         self._queues[topic].append(message)
+        if topic == self._short_topic:
+            self._short -= 1
 
     def promise(self, progress: NodeProgress) -> None:
         """A publisher has told how many it has sent."""
         self._promises.setdefault(progress.node, {})[progress.step] = progress
+        self._short = 0
         if progress.node == PLAYER:
             self._played = frozenset(c.topic for c in progress.published)
 
     def due(self) -> Due | None:
         """The next step's messages, if all are there; the step counts as taken."""
+        if self._short > 0:  # nothing has changed that could matter
+            return None
         player = self._promises.get(PLAYER, {}).get(self.step)
-        if player is None or any(self.missing()):
+        lacking = next(iter(self.missing()), None)
+        if player is None or lacking is not None:
+            self._wait_for(lacking)
             return None
         messages = [(topic, self._take(topic)) for topic in self._lag]
         due = Due(self.step, player.stamp_ns, messages)
@@ -72,6 +81,13 @@ class StepGate:
         for promised in self._promises.values():
             promised.pop(self.step - 2, None)
         return due
+
+    def _wait_for(self, lacking: Missing | None) -> None:
+        """Not to look again before this topic's messages, or another promise, have come."""
+        if lacking is None or lacking.expected is None:
+            self._short, self._short_topic = 1, ""
+        else:
+            self._short, self._short_topic = lacking.expected - lacking.received, lacking.topic
 
     def missing(self) -> Iterable[Missing]:
         """What the next step waits for."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import importlib
 import re
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from rclpy.serialization import deserialize_message, serialize_message
 
 from fbn_common.types import Array
 
@@ -34,3 +35,21 @@ class RclpyMessages:
             return lambda values: np.asarray(values, dtype=dtype)
         code = _TYPECODES[declared.removeprefix("sequence<").removesuffix(">")]
         return lambda values: array(code, np.asarray(values, dtype=code).tobytes())
+
+    def field_types(self, ros_type: str) -> Mapping[str, str]:
+        return self.message(ros_type).get_fields_and_field_types()  # type: ignore[attr-defined, no-any-return]
+
+
+class RclpySerialiser:
+    """ROS's own serialisation: a :class:`fbn_ros.cdr.Serialiser`."""
+
+    errors: tuple[type[Exception], ...] = ()  # what it raises is a RuntimeError
+
+    def __init__(self) -> None:
+        self.factory = RclpyMessages()
+
+    def write(self, message: Any, ros_type: str) -> bytes:
+        return bytes(serialize_message(message))
+
+    def read(self, data: bytes, ros_type: str) -> Any:
+        return deserialize_message(data, self.factory.message(ros_type))

@@ -17,7 +17,6 @@ from rclpy.node import Node as RosNode
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from fbn_common.estimator import Health, Level
@@ -25,11 +24,12 @@ from fbn_common.graph import GRAPH, Graph, Node, Qos, Topic
 from fbn_common.parameters import flatten
 from fbn_common.records import NodeProgress, Record
 from fbn_ros import extras
-from fbn_ros.conversion import Conversion, ConversionError
+from fbn_ros.cdr import Cdr
+from fbn_ros.conversion import ConversionError
 from fbn_ros.diagnostics import diagnostic_array
 from fbn_ros.host import Host, resolve
 from fbn_ros.lockstep import REPORT, Due, StepGate, progress
-from fbn_ros.messages import RclpyMessages
+from fbn_ros.messages import RclpySerialiser
 from fbn_ros.qos import profile
 from fbn_ros.ros_parameters import read_parameters
 from fbn_ros.spin import run_node
@@ -51,7 +51,8 @@ class EstimatorNode(RosNode):
         self.host = Host.build(node, self.parameters)
         self.graph, self.declared = graph, node
         self.statistics = Statistics()
-        self._conversion = Conversion(RclpyMessages())
+        self._cdr = Cdr(RclpySerialiser())
+        self._factory = self._cdr.serialiser.factory
         self._gone: set[str] = set()
         self._level = Level.OK
         self._publish: dict[str, Callable[[Record], None]] = {t: self._publisher(t) for t in node.outputs}
@@ -70,37 +71,34 @@ class EstimatorNode(RosNode):
     # --- messages --------------------------------------------------------------------------------------------
 
     def _publisher(self, topic: str) -> Callable[[Record], None]:
-        publisher = self._create_publisher(self.graph.topics[topic])
-        to_message = self._conversion.to_message
-        return lambda record: publisher.publish(to_message(record))
+        publisher, encode = self._create_publisher(self.graph.topics[topic]), self._cdr.encode
+        return lambda record: publisher.publish(encode(record))
 
     def _create_publisher(self, topic: Topic) -> Publisher[Any]:
-        message: Any = self._conversion.factory.message(topic.ros_type)
+        message: Any = self._factory.message(topic.ros_type)
         return self.create_publisher(message, topic.name, profile(topic, lock_step=self.lock_step, lease=True))
 
     def _subscribe(self, name: str) -> Subscription[Any]:
         """Raw, so that bytes that are no message of the topic's type are answered like any other malformed datum."""
         topic = self.graph.topics[name]
-        message: Any = self._conversion.factory.message(topic.ros_type)
+        message: Any = self._factory.message(topic.ros_type)
         ours = self.graph.publisher(name) is not None
         qos: QoSProfile = profile(topic, lock_step=self.lock_step, lease=ours)
         events = SubscriptionEventCallbacks(liveliness=lambda info: self._liveliness(name, info)) if ours else None
         take = self._gate.add if self.lock_step else self._take_in
 
         def receive(data: bytes) -> None:
-            take(name, self._to_record(topic, message, data))
+            take(name, self._to_record(topic, data))
             if self.lock_step:
                 self._advance_steps()
 
         return self.create_subscription(message, name, receive, qos, raw=True, event_callbacks=events)
 
-    def _to_record(self, topic: Topic, message: Any, data: bytes) -> Record | ConversionError:
+    def _to_record(self, topic: Topic, data: bytes) -> Record | ConversionError:
         try:
-            return self._conversion.to_record(topic.name, topic.record, deserialize_message(data, message))
+            return self._cdr.decode(topic.name, topic.record, data)
         except ConversionError as error:
             return error
-        except Exception as error:  # whatever the middleware raises for bytes it cannot read
-            return ConversionError(topic.name, "message", f"the bytes of a {topic.ros_type}", f"{len(data)} bytes ({error})")
 
     def _take_in(self, topic: str, entry: Record | ConversionError) -> None:
         now_ns = self.get_clock().now().nanoseconds
@@ -132,11 +130,12 @@ class EstimatorNode(RosNode):
 
     def _join_replay(self) -> None:
         self._progress = self._create_publisher(PROGRESS)
-        message: Any = self._conversion.factory.message(PROGRESS.ros_type)
-        self.create_subscription(message, PROGRESS.name, self._on_progress, profile(PROGRESS, lock_step=True))
+        message: Any = self._factory.message(PROGRESS.ros_type)
+        qos = profile(PROGRESS, lock_step=True)
+        self.create_subscription(message, PROGRESS.name, self._on_progress, qos, raw=True)
 
-    def _on_progress(self, message: Any) -> None:
-        told = self._conversion.to_record(PROGRESS.name, NodeProgress, message)
+    def _on_progress(self, data: bytes) -> None:
+        told = self._cdr.decode(PROGRESS.name, NodeProgress, data)
         if told.step == REPORT:
             self._report(told.stamp_ns)
         else:
@@ -155,7 +154,7 @@ class EstimatorNode(RosNode):
                 self.host.put(topic, entry)
         self._advance(due.stamp_ns)
         told = progress(self.declared.name, due.step, due.stamp_ns, self.declared.outputs, self.host.published)
-        self._progress.publish(self._conversion.to_message(told))
+        self._progress.publish(self._cdr.encode(told))
         if due.step % DIAGNOSTIC_STEPS == 0:
             self._report(due.stamp_ns)
 
@@ -194,7 +193,7 @@ class EstimatorNode(RosNode):
             self._level = health.level
             self._tell(health)
         self._diagnostics.publish(
-            diagnostic_array(self._conversion.factory, now_ns, self.declared, health, values, silent, sorted(self._gone))
+            diagnostic_array(self._factory, now_ns, self.declared, health, values, silent, sorted(self._gone))
         )
 
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rosbags.interfaces import Qos as BagQos
-from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-
 from fbn_common.graph import Qos, Topic
 
 if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
+    from rosbags.interfaces import Qos as BagQos
 
 LEASE_S = 2.0  # s: a publisher that gives no sign of life so long is gone
 LOCK_STEP_DEPTH = 2000  # messages: no node is more than a few steps behind, and a step holds some dozens
@@ -36,6 +34,9 @@ def profile(topic: Topic, *, lock_step: bool = False, lease: bool = False) -> Qo
 
 def bag_qos(topic: Topic) -> BagQos:
     """What a bag says of a topic, so that whoever plays it offers the same."""
+    from rosbags.interfaces import Qos as BagQos
+    from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
     never = QosTime(2147483647, 4294967295)
     return BagQos(
         history=QosHistory.KEEP_LAST,

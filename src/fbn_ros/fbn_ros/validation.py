@@ -53,6 +53,11 @@ def quaternion(name: str, q: Any) -> None:
         raise Malformed(name, "a unit quaternion", f"norm {norm:.3g}")
 
 
+def is_covariance(name: str) -> bool:
+    """Whether a field of this name holds a covariance or an information matrix."""
+    return any(word in name for word in ("covariance", "noise", "information"))
+
+
 def length(name: str, values: Any, expected: int, of: str) -> None:
     if len(values) != expected:
         raise Malformed(name, f"{expected} ({of})", str(len(values)))
@@ -83,8 +88,7 @@ def _step(field: dataclasses.Field[Any], hint: Any) -> Callable[[str, Any], None
     if field.name in QUATERNIONS:
         return quaternion
     if shape is not None:
-        named_so = any(word in field.name for word in ("covariance", "noise", "information"))
-        return covariance if named_so and len(shape) == 2 else finite_array
+        return covariance if is_covariance(field.name) and len(shape) == 2 else finite_array
     if hint is float:
         return finite_number
     if dataclasses.is_dataclass(hint):

@@ -1,0 +1,183 @@
+"""The quick way for messages that are a header, a few times and names, and then nothing but double-precision numbers.
+
+Most of what flows is of that kind (motion at 100 Hz, odometry, the dead service).  Its numbers lie in one run of the
+serialised bytes: one copy instead of a message object, a conversion and a check for every field.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import struct
+import typing
+from collections.abc import Callable, Mapping
+from functools import reduce
+from math import isfinite
+from operator import mul
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fbn_common.records import Odometry, Pose, PoseWithCovarianceStamped, Record
+from fbn_common.types import NS, Array
+from fbn_ros.validation import NORM_TOLERANCE, QUATERNIONS, is_covariance
+
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+_TIME, _LENGTH = struct.Struct("<iI"), struct.Struct("<I")
+_NUMBERS = re.compile(r"double(?:\[(\d+)\])?")
+_POSE = "geometry_msgs/Pose"
+
+FieldTypes = Callable[[str], Mapping[str, str]]  # a type's fields, in order, as ROS writes their types
+
+
+class Run(NamedTuple):
+    """Where a field's numbers are in the run: ``numbers[start:stop]``, of this shape; () is a single number."""
+
+    name: str
+    start: int
+    stop: int
+    shape: tuple[int, ...]
+
+
+class Flat:
+    """Serialising and reading one record type; see :func:`flat`."""
+
+    def __init__(self, kind: type[Any], lead: list[tuple[str, str]], runs: list[Run]) -> None:
+        self.kind, self._lead, self._runs = kind, lead, runs
+        self._count = runs[-1].stop
+        self._framed = "frame_id" in {f.name for f in dataclasses.fields(kind)}
+        quaternions = [r.start + r.shape[0] - 4 for r in runs if r.name in QUATERNIONS or r.shape == (7,)]
+        self._quaternions = quaternions
+        matrices = [r for r in runs if len(r.shape) == 2 and is_covariance(r.name)]
+        self._variances = np.array([r.start + i * (r.shape[0] + 1) for r in matrices for i in range(r.shape[0])], dtype=int)
+
+    def encode(self, record: Any) -> bytes:
+        """The bytes of the record's message."""
+        frame = record.frame_id.encode() if self._framed else b""
+        sec, nanosec = divmod(record.stamp_ns, NS)
+        head = bytearray(_LITTLE_ENDIAN + _TIME.pack(sec, nanosec) + _LENGTH.pack(len(frame) + 1) + frame + b"\0")
+        for name, what in self._lead:
+            head += b"\0" * (-len(head) % 4)
+            if what == "time":
+                head += _TIME.pack(*divmod(getattr(record, name), NS))
+            else:
+                text = getattr(record, name).encode()
+                head += _LENGTH.pack(len(text) + 1) + text + b"\0"
+        head += b"\0" * (-(len(head) - 4) % 8)
+        numbers = np.empty(self._count)
+        for name, start, stop, shape in self._runs:
+            value = getattr(record, name)
+            if isinstance(value, Pose):
+                numbers[start : start + 3], numbers[start + 3 : stop] = value.position, value.orientation
+            elif shape:
+                numbers[start:stop] = np.asarray(value).reshape(-1)
+            else:
+                numbers[start] = value
+        return bytes(head) + numbers.tobytes()
+
+    def decode(self, data: bytes) -> Record | None:
+        """The record; None if these bytes need the slow way (other byte order, too short, or something is wrong)."""
+        try:
+            values, position = self._decode_lead(data)
+            numbers = np.frombuffer(data, "<f8", self._count, position).copy()
+        except (struct.error, ValueError, IndexError):
+            return None
+        if not self._usable(numbers):
+            return None
+        for name, start, stop, shape in self._runs:
+            if shape == (7,):
+                values[name] = Pose(numbers[start : start + 3], numbers[start + 3 : stop])
+            elif len(shape) == 2:
+                values[name] = numbers[start:stop].reshape(shape)
+            else:
+                values[name] = numbers[start:stop] if shape else float(numbers[start])
+        return typing.cast(Record, self.kind(**values))
+
+    def _decode_lead(self, data: bytes) -> tuple[dict[str, Any], int]:
+        """Header, times and names; and where the numbers begin."""
+        if data[:4] != _LITTLE_ENDIAN:
+            raise ValueError
+        values: dict[str, Any] = {"stamp_ns": _time(data, 4)}
+        frame_id, position = _text(data, 12)
+        if self._framed:
+            values["frame_id"] = frame_id
+        for name, what in self._lead:
+            position += -position % 4
+            if what == "time":
+                values[name], position = _time(data, position), position + 8
+            else:
+                values[name], position = _text(data, position)
+        return values, position + -(position - 4) % 8
+
+    def _usable(self, numbers: Array) -> bool:
+        """As :mod:`fbn_ros.validation`, all fields at once; what fails here is told in detail there."""
+        if not isfinite(numbers.sum()):
+            return False
+        if self._variances.size and numbers[self._variances].min() < 0.0:
+            return False
+        for start in self._quaternions:
+            x, y, z, w = numbers[start : start + 4].tolist()
+            if abs((x * x + y * y + z * z + w * w) ** 0.5 - 1.0) > NORM_TOLERANCE:
+                return False
+        return True
+
+
+def _time(data: bytes, position: int) -> int:
+    sec, nanosec = _TIME.unpack_from(data, position)
+    if nanosec >= NS:
+        raise ValueError
+    return int(sec) * NS + int(nanosec)
+
+
+def _text(data: bytes, position: int) -> tuple[str, int]:
+    (length,) = _LENGTH.unpack_from(data, position)
+    end = position + 4 + length
+    if not 0 < length <= len(data) - position - 4:
+        raise ValueError
+    return data[position + 4 : end - 1].decode(), end
+
+
+# --- which types are flat ------------------------------------------------------------------------------------
+
+# Standard messages nest what their records hold side by side: record fields in the order of the message's numbers.
+_STANDARD: dict[type, tuple[list[tuple[str, str]], list[tuple[str, tuple[int, ...]]]]] = {
+    Odometry: (
+        [("child_frame_id", "string")],
+        [("pose", (7,)), ("pose_covariance", (6, 6)), ("twist", (6,)), ("twist_covariance", (6, 6))],
+    ),
+    PoseWithCovarianceStamped: ([], [("pose", (7,)), ("covariance", (6, 6))]),
+}
+
+
+def flat(kind: type[Any], field_types: FieldTypes) -> Flat | None:
+    """The quick way for a record type; None if its message is not of that kind."""
+    if kind in _STANDARD:
+        lead, shapes = _STANDARD[kind]
+        return Flat(kind, lead, _laid_out(shapes))
+    if not kind.ros_type.startswith("fbn_msgs/"):
+        return None
+    lead, shapes = [], []
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    for name, ros_type in list(field_types(kind.ros_type).items())[1:]:  # the header is first
+        if ros_type == "builtin_interfaces/Time" and not shapes:
+            lead.append((f"{name}_ns", "time"))
+        elif ros_type == "string" and not shapes:
+            lead.append((name, "string"))
+        elif ros_type == _POSE:
+            shapes.append((name, (7,)))
+        elif _NUMBERS.fullmatch(ros_type):
+            shapes.append((name, fields[name].metadata.get("shape", ())))
+        else:
+            return None
+    return Flat(kind, lead, _laid_out(shapes)) if shapes else None
+
+
+def _laid_out(shapes: list[tuple[str, tuple[int, ...]]]) -> list[Run]:
+    runs, start = [], 0
+    for name, shape in shapes:
+        stop = start + reduce(mul, shape, 1)
+        runs.append(Run(name, start, stop, shape))
+        start = stop
+    return runs
+
+
