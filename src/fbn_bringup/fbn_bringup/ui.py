@@ -64,7 +64,9 @@ def table(title: str, *columns: str, left: int = 1) -> Table:
 
 def number(value: float | None, digits: int = 2, unit: str = "") -> str:
     """A number for a table; an unknown one is a dash."""
-    return "–" if value is None or value != value else f"{value:.{digits}f}{unit}"
+    if value is None or value != value:
+        return "–"
+    return f"{round(value, digits) + 0.0:.{digits}f}{unit}"
 
 
 def known_error(error: BaseException) -> str | None:

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from fbn_bringup.evaluation.evaluate import DiveResult, Evaluation
 from fbn_bringup.evaluation.run import Run
-from fbn_bringup.ui import number, table
+from fbn_bringup.ui import escape, number, table
 from fbn_common.estimator import Level
 from fbn_common.graph import GRAPH
 
@@ -46,48 +46,39 @@ def demo_tables(result: Evaluation, run: Run) -> Iterator[Table]:
 
 
 def dive_table(result: Evaluation) -> Table:
-    """One row per dive, and the run as a whole below."""
-    t = table(
-        f"{result.name}: dives",
-        "dive",
-        "start",
-        "length",
-        "way",
-        "matched",
-        "pairs",
-        "error on the map",
-        "absolute",
-        "reference",
-        "dead reckoning",
-    )
+    """One row per dive, and the run as a whole below; it fits a terminal of 80 columns."""
+    columns = ("dive", "at", "way", "matched", "pairs", "on the map", "absolute", "reference", "drift")
+    t = table(f"{result.name}: dives", *columns)
     for d in result.dives:
         t.add_row(*dive_row(d, result.has_truth))
     whole = result.mission_drift
     t.add_row(
         "[bold]all",
         "",
-        "",
         number(whole.distance if whole else None, 0, " m"),
         f"[bold]{result.matched} of {len(result.dives)}",
         f"[red]{result.false_matches} false" if result.false_matches else "",
-        number(result.on_map_median, 2, " m"),
+        f"[bold]{number(result.on_map_median, 2, ' m')}",
         "",
         "",
         number(result.drift_percent, 1, " %"),
     )
-    t.caption = "error on the map: median after the match; dead reckoning: of distance, at the dive's end"
+    t.caption = (
+        "matched: s into the dive; pairs: right of all; on the map: median after the match;\n"
+        "absolute, reference: errors at the dive's end; drift: of dead reckoning, per distance"
+    )
     return t
 
 
 def dive_row(d: DiveResult, has_truth: bool) -> tuple[str, ...]:
     """One dive's cells."""
+    m = d.matches
     return (
         str(d.number),
-        number(d.start_s, 0, " s"),
-        number(d.duration_s, 0, " s"),
+        number(d.start_s / 60, 1, " min"),
         number(d.distance_m, 0, " m"),
-        _matched(d, has_truth),
-        _pairs(d, has_truth),
+        _matched(d),
+        (f"{m.right} of {m.right + m.wrong}" if has_truth else str(m.pairs)) if m.pairs else "–",
         number(d.on_map_m, 2, " m"),
         number(d.absolute_m, 1, " m"),
         number(d.reference_m, 1, " m"),
@@ -95,17 +86,11 @@ def dive_row(d: DiveResult, has_truth: bool) -> tuple[str, ...]:
     )
 
 
-def _matched(d: DiveResult, has_truth: bool) -> str:
+def _matched(d: DiveResult) -> str:
     if not d.matches.declared:
         return "[yellow]no"
-    if not has_truth:
-        return f"yes, p {d.matches.posterior:.2f}"
-    return "[red]FALSE" if d.matches.false else f"[green]yes[/], after {number(d.matches.after_s, 0, ' s')}"
-
-
-def _pairs(d: DiveResult, has_truth: bool) -> str:
-    m = d.matches
-    return f"{m.right} right, {m.wrong} wrong" if has_truth and m.pairs else str(m.pairs)
+    after = number(d.matches.after_s, 0, " s")
+    return f"[bold red]FALSE {after}" if d.matches.false else f"[green]{after}"
 
 
 def error_table(result: Evaluation) -> Table:
@@ -172,7 +157,7 @@ def sensor_table(result: Evaluation) -> Table:
 
 def traffic_table(run: Run) -> Table:
     """Rates and latencies of what the estimators take and give."""
-    t = table("Rates and latencies", "topic", "messages", "rate", "longest gap", "latency median", "95 %")
+    t = table("Rates and latencies", "topic", "messages", "rate", "longest gap", "latency", "95 %")
     for topic in GRAPH.topics:
         if topic in run.traffic and not topic.endswith("/innovations"):
             x = run.traffic[topic]
@@ -185,15 +170,22 @@ def traffic_table(run: Run) -> Table:
                 number(median, 0, " ms"),
                 number(late, 0, " ms"),
             )
-    t.caption = "in lock step an output's latency is in log time: data are handled in steps"
+    t.caption = "in lock step an output's latency is in log time: data are taken in steps"
     return t
 
 
 def health_table(run: Run) -> Table:
-    """Each node's last word."""
-    t = table("Health", "node", "level", "says", left=3)
+    """Each node's last word, and what it cost."""
+    t = table("Health", "node", "level", "CPU", "of a core", "says", left=2)
+    t.columns[-1].justify = "left"
     for node, h in run.health.items():
-        t.add_row(node, f"[{COLOUR[h.level]}]{h.level.name}", h.message)
+        cpu = run.timing.cpu_s.get(node) if run.timing else None
+        share = 100.0 * cpu / run.timing.log_s if cpu is not None and run.timing and run.timing.log_s else None
+        level = f"[{COLOUR[h.level]}]{h.level.name}"
+        t.add_row(node, level, number(cpu, 1, " s"), number(share, 1, " %"), escape(h.message))
+    if run.timing:
+        log, wall, speed = run.timing.log_s, run.timing.wall_s, run.timing.speed
+        t.caption = f"{run.timing.mode}: {log:.0f} s of log in {wall:.0f} s, {speed:.1f} times real time"
     return t
 
 
