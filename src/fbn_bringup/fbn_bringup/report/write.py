@@ -214,14 +214,21 @@ def traffic_table(run: Run) -> str:
 
 
 def _health(run: Run) -> list[Any]:
-    rows = [
-        (node, Cell(h.level.name, JUDGEMENT[h.level]), h.message, _values(h.values)) for node, h in run.health.items()
-    ]
-    parts: list[Any] = [html_table(("node", "level", "says", "counters"), rows, left=4)] if rows else []
+    parts: list[Any] = []
+    if run.health:
+        rows = [_health_row(run, node) for node in run.health]
+        parts = [html_table(("node", "level", "CPU [s]", "of a core [%]", "says"), rows, left=2, last_left=True)]
     for node, values in run.parameters.items():
+        counters = sorted(run.health[node].values.items()) if node in run.health else []
+        if counters:
+            rows = [(name, f"{v:.4g}" if isinstance(v, float) else v) for name, v in counters]
+            parts.append(folded(f"counters of {node}", html_table(("counter", "value"), rows)))
         parts.append(folded(f"parameters of {node}", html_table(("name", "value"), sorted(values.items()))))
     return parts
 
 
-def _values(values: dict[str, Any]) -> str:
-    return ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in values.items())
+def _health_row(run: Run, node: str) -> tuple[Any, ...]:
+    h, timing = run.health[node], run.timing
+    cpu = timing.cpu_s.get(node) if timing else None
+    share = 100.0 * cpu / timing.log_s if cpu is not None and timing and timing.log_s else None
+    return node, Cell(h.level.name, JUDGEMENT[h.level]), number(cpu, 1), number(share, 1), h.message
