@@ -47,6 +47,14 @@ class Cdr:
             return quick.encode(record)
         return self.serialiser.write(self.conversion.to_message(record), record.ros_type)
 
+    def outgoing(self, record: Record) -> Any:
+        """What a publisher of these messages takes: bytes where there is the quick way, else the message itself.
+
+        (The bytes that rclpy makes of a message by itself may have a tail of no meaning.)
+        """
+        quick = self._quick(type(record))
+        return self.conversion.to_message(record) if quick is None else quick.encode(record)
+
     def decode(self, topic: str, record_type: type[R], data: bytes) -> R:
         """The record in a message's bytes, checked; raises ConversionError, also for bytes that are no such message."""
         quick = self._quick(record_type)

@@ -71,8 +71,8 @@ class EstimatorNode(RosNode):
     # --- messages --------------------------------------------------------------------------------------------
 
     def _publisher(self, topic: str) -> Callable[[Record], None]:
-        publisher, encode = self._create_publisher(self.graph.topics[topic]), self._cdr.encode
-        return lambda record: publisher.publish(encode(record))
+        publisher, outgoing = self._create_publisher(self.graph.topics[topic]), self._cdr.outgoing
+        return lambda record: publisher.publish(outgoing(record))
 
     def _create_publisher(self, topic: Topic) -> Publisher[Any]:
         message: Any = self._factory.message(topic.ros_type)
@@ -154,7 +154,7 @@ class EstimatorNode(RosNode):
                 self.host.put(topic, entry)
         self._advance(due.stamp_ns)
         told = progress(self.declared.name, due.step, due.stamp_ns, self.declared.outputs, self.host.published)
-        self._progress.publish(self._cdr.encode(told))
+        self._progress.publish(self._cdr.outgoing(told))
         if due.step % DIAGNOSTIC_STEPS == 0:
             self._report(due.stamp_ns)
 

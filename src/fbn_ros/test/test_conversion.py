@@ -12,6 +12,7 @@ from fbn_common import records as r
 from fbn_ros.cdr import Cdr
 from fbn_ros.conversion import Conversion, ConversionError, MessageFactory
 from fbn_ros.definitions import RosbagsMessages
+from fbn_ros.flat import flat
 from fbn_ros.messages import RclpyMessages
 from fbn_testing.compare import difference
 from fbn_testing.examples import RECORD_TYPES, example
@@ -49,6 +50,36 @@ def test_arrays_come_back_fresh_aligned_and_writable() -> None:
     motion = cdr.decode("t", r.PredictedMotion, cdr.encode(example(r.PredictedMotion, RNG)))
     for array in (motion.noise, motion.increment, motion.jacobian_velocity):
         assert array.flags.c_contiguous and array.flags.aligned and array.flags.writeable and array.flags.carray
+
+
+FLAT = (r.PredictedMotion, r.PingMotion, r.VehicleParameters, r.Odometry, r.ReferenceFix, r.PoseWithCovarianceStamped)
+
+
+@pytest.mark.parametrize("kind", FLAT, ids=lambda k: k.__name__)
+def test_the_quick_way_writes_the_bytes_of_the_slow_way(kind: type[r.Record]) -> None:
+    cdr = Cdr()
+    for _ in range(20):  # frame ids of all lengths, so every alignment
+        record = example(kind, RNG)
+        slow = cdr.serialiser.write(cdr.conversion.to_message(record), kind.ros_type)
+        assert flat(kind, cdr.serialiser.factory.field_types) is not None
+        assert cdr.encode(record) == slow
+
+
+@pytest.mark.parametrize("kind", [r.PredictedMotion, r.PingMotion, r.Odometry], ids=lambda k: k.__name__)
+def test_the_quick_way_refuses_what_the_slow_way_refuses_and_by_the_same_name(kind: type[r.Record]) -> None:
+    cdr = Cdr()
+    record = example(kind, RNG)
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if isinstance(value, np.ndarray):
+            spoilt = dataclasses.replace(record, **{field.name: np.full_like(value, np.nan)})  # type: ignore[arg-type]
+            with pytest.raises(ConversionError) as caught:
+                cdr.decode("t", kind, cdr.encode(spoilt))
+            assert caught.value.field == field.name
+    data = cdr.encode(record)
+    for length in (0, 3, 10, 30, len(data) - 1):
+        with pytest.raises(ConversionError, match="the bytes of a"):
+            cdr.decode("t", kind, data[:length])
 
 
 def test_single_precision_shows_in_what_a_subscriber_gets() -> None:
