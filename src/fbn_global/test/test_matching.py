@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,6 +13,7 @@ from fbn_common.types import Array
 from fbn_global.jcbb import chi_square_99, jcbb
 from fbn_global.matching import Problem
 from fbn_global.state import Block, Kind, append, equate, start
+from fbn_testing.plain_jcbb import PlainJcbb, crossing
 
 NOISE = np.diag([0.25, 0.25, 1.0])
 
@@ -108,6 +110,16 @@ def test_branch_and_bound_finds_what_trying_all_sets_finds(seed: int, found: int
     assert pairs <= count
     if pairs == count:
         assert result.distance >= distance - 1e-9
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_branch_and_bound_is_the_plain_one_faster(seed: int) -> None:
+    x, p, gate = crossing(seed, 6, 30, 3.0)
+    result = jcbb(x, p, 6, gate, 0.25 * np.eye(2), 2, 1_000_000)
+    plain = PlainJcbb(x, p, 6, gate, 0.25 * np.eye(2), 2)
+    plain.search([], 0, 0.0)
+    assert list(result.assigned) == plain.best
+    np.testing.assert_allclose(result.distance, plain.distance, rtol=1e-9)
 
 
 def test_branch_and_bound_stops_at_its_limit_and_says_so() -> None:

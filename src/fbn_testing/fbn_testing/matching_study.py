@@ -18,8 +18,10 @@ import numpy as np
 from fbn_common.records import Localization, LocalizationStatus, MatchHypotheses
 from fbn_common.types import Array
 from fbn_global.estimator import Global
+from fbn_global.jcbb import jcbb
 from fbn_global.parameters import GlobalParameters
 from fbn_testing.composite_world import Run, Settings, World, charles_river
+from fbn_testing.plain_jcbb import PlainJcbb, crossing
 
 
 @dataclass
@@ -170,6 +172,30 @@ def _size(seeds: range, methods: list[str]) -> None:
         )
 
 
+def _jcbb(seeds: range, methods: list[str]) -> None:
+    """Time of the compiled branch and bound against the plain one, ten found features."""
+    noise = 0.25 * np.eye(2)
+    for maps in (20, 100, 1000):
+        for sigma in (1.0, 3.0, 5.0):
+            compiled, plain, nodes = [], [], []
+            for seed in seeds:
+                x, p, gate = crossing(seed, 10, maps, sigma)
+                began = time.thread_time()
+                result = jcbb(x, p, 10, gate, noise, 2, 1_000_000)
+                compiled.append(time.thread_time() - began)
+                search = PlainJcbb(x, p, 10, gate, noise, 2)
+                began = time.thread_time()
+                search.search([], 0, 0.0)
+                plain.append(time.thread_time() - began)
+                nodes.append(result.nodes)
+                assert list(result.assigned) == search.best
+            ms, ratio = 1e3 * np.median(compiled), np.median(np.array(plain) / np.maximum(compiled, 1e-7))
+            print(
+                f"map {maps:4d} sigma {sigma:3.0f} m: nodes {np.median(nodes):6.0f}  {ms:.3f} ms  plain {ratio:.0f} times",
+                flush=True,
+            )
+
+
 STUDIES: dict[str, Callable[[range, list[str]], None]] = {
     "row_ambiguity": _row_ambiguity,
     "charles_river": _each(lambda seed: World(river_world(seed)).make()),
@@ -177,6 +203,7 @@ STUDIES: dict[str, Callable[[range, list[str]], None]] = {
     "shifted_map": _each(lambda seed: World(river_world(seed, map_error=1.0, map_shift=(12.0, 9.0))).make()),
     "other_place": _each(elsewhere),
     "size": _size,
+    "jcbb": _jcbb,
 }
 
 
