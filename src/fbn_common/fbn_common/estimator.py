@@ -44,7 +44,7 @@ class Estimator(Protocol):
     """One of the five (or the simulator's sensors, or what comes later)."""
 
     def put(self, topic: str, record: Record) -> None:
-        """Take in one record; malformed or unwanted ones are answered by the next ``advance``, never by an exception."""
+        """Take in one record; ``advance`` answers malformed or unwanted ones, an exception never does."""
         ...
 
     def advance(self, now_ns: int) -> list[Output]:

@@ -151,7 +151,7 @@ def matrix_from_rpy(rpy: Vec3) -> Mat3:
 
 @njit(cache=True)
 def rpy_jacobian(rpy: Vec3) -> Mat3:
-    """``E`` with ``d(roll, pitch, yaw) = E dtheta`` for the body perturbation ``R Exp(dtheta)``; singular at pitch = +-pi/2."""
+    """``E`` with ``d(roll, pitch, yaw) = E dtheta`` for ``R Exp(dtheta)``; singular at pitch = +-pi/2."""
     cr, sr = np.cos(rpy[0]), np.sin(rpy[0])
     cp, tp = np.cos(rpy[1]), np.tan(rpy[1])
     m = np.zeros((3, 3))

@@ -17,7 +17,6 @@ from fbn_common.lie import matrix_from_rpy
 from fbn_common.parameters import ParameterError, param
 from fbn_common.types import Array, Mat3, Vec3
 
-
 FRAME_BASE_LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """R_base_array of a level array that looks forward: its x forward, its y down, its z left."""
 
@@ -26,9 +25,14 @@ FRAME_BASE_LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
 class SonarArray:
     """One array of a sonar; its name is the ``frame_id`` of its detections."""
 
-    mount_xyz: tuple[float, float, float] = param((0.6, 0.0, 0.0), "m", "position in base_link", "Ranger: nose, 1.3 m long")
+    mount_xyz: tuple[float, float, float] = param(
+        (0.6, 0.0, 0.0), "m", "position in base_link", "Ranger: nose, 1.3 m long"
+    )
     mount_rpy: tuple[float, float, float] = param(
-        (0.0, 0.0, 0.0), "rad", "turn of the look direction from forward: roll, pitch (down positive), yaw", "level, ahead"
+        (0.0, 0.0, 0.0),
+        "rad",
+        "turn of the look direction from forward: roll, pitch (down positive), yaw",
+        "level, ahead",
     )
     bearing_min: float = param(pi / 2 - 0.3927, "rad", "smallest angle to the array's axis", "45 deg field of view")
     bearing_max: float = param(pi / 2 + 0.3927, "rad", "largest angle to the array's axis", "45 deg field of view")
@@ -37,7 +41,9 @@ class SonarArray:
     lobe_width: float = param(0.349, "rad", "full width of the lobe around the axis", "20 deg, JOE 2013 III")
     range_sigma: float = param(0.05, "m", "standard deviation of range", "3 cm, and the target's own size")
     bearing_sigma: float = param(0.0175, "rad", "standard deviation of bearing", "1 deg, JOE 2013 III")
-    detection_probability: float = param(0.67, "-", "chance to detect a feature in view", "two of three scans, JOE 2013 III-B")
+    detection_probability: float = param(
+        0.67, "-", "chance to detect a feature in view", "two of three scans, JOE 2013 III-B"
+    )
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.bearing_min < self.bearing_max <= pi:

@@ -22,7 +22,9 @@ def test_data_flows_forward_and_loops_only_through_feedback() -> None:
     for position, node in enumerate(GRAPH.nodes):
         for topic in node.inputs:
             publisher = GRAPH.publisher(topic)
-            assert publisher is None or order.index(publisher.name) < position, f"{topic} runs backward into {node.name}"
+            assert publisher is None or order.index(publisher.name) < position, (
+                f"{topic} runs backward into {node.name}"
+            )
 
 
 def test_external_inputs_are_what_sensors_must_supply() -> None:

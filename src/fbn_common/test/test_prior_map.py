@@ -34,7 +34,10 @@ def a_map(*features: Any, **top: Any) -> dict[str, Any]:
 def test_a_written_map_is_read_back_to_a_tenth_of_a_millimetre(tmp_path: Path, datum: Any) -> None:
     enu = np.array([[0.0, 0.0, -4.0], [123.4, -56.7, -4.5], [1500.0, 800.0, -10.0]])
     geodetic = [geodetic_from_enu(np.array([x, y, 0.0]), DATUM) for x, y, _ in enu]
-    features = tuple(PriorFeature(i, g.latitude, g.longitude, enu[i, 2], f"f{i}", 5.0, 0.7, 0.9, i == 1) for i, g in enumerate(geodetic))
+    features = tuple(
+        PriorFeature(i, g.latitude, g.longitude, enu[i, 2], f"f{i}", 5.0, 0.7, 0.9, i == 1)
+        for i, g in enumerate(geodetic)
+    )
     write_prior_map(tmp_path / "map.geojson", PriorMap(features), datum)
     back = read_prior_map(tmp_path / "map.geojson")
     horizontal = back.positions(DATUM)[:, :2]
