@@ -19,8 +19,9 @@ from rich.table import Table
 
 from fbn_bringup.evaluation.consistency import chi2_bound
 from fbn_bringup.evaluation.evaluate import Evaluation, evaluate
-from fbn_bringup.evaluation.run import Item, Run, collect
+from fbn_bringup.evaluation.run import NOT_KEPT, Item, Run, collect
 from fbn_bringup.ui import number, table
+from fbn_common.records import Record
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,7 @@ MEASURES: dict[str, tuple[str, int, bool]] = {  # name: (unit, digits, is more w
     "wrong_pairs": ("", 0, True),
     "on_map_median_m": ("m", 2, True),
     "on_map_final_m": ("m", 2, True),
-    "target_error_m": ("m", 2, True),
+    "target_median_m": ("m", 2, True),
     "drift_median_percent": ("%", 2, True),
     "drift_worst_percent": ("%", 2, True),
     "reference_median_m": ("m", 2, True),
@@ -82,7 +83,7 @@ def run_seed(plan: Plan, seed: int) -> Row:
 
 
 def navigate(plan: Plan, seed: int) -> tuple[Run, float]:
-    """Simulate a seed and run the estimators on it, in memory; gives the run and its speed (times real time)."""
+    """Simulate a seed and run the estimators on it, in memory; gives the run and its speed (log over CPU time)."""
     import tempfile
 
     from fbn_bringup.commands.options import overrides
@@ -102,12 +103,17 @@ def navigate(plan: Plan, seed: int) -> tuple[Run, float]:
         (Path(place) / PARAMETER_FILE).write_text(parameter_text(simulation))
         chosen = overrides(list(plan.settings), Path(place) / MAP_FILE)
         parameters = load_parameters(GRAPH, (Path(place) / PARAMETER_FILE, *plan.parameter_files), chosen)
-        items: list[Item] = list(simulation.records())
-        begin = time.perf_counter()
-        run_offline(GRAPH, parameters, simulation.records(), lambda *item: items.append(item))
-        wall = time.perf_counter() - begin
+        items: list[Item] = [_slim(*entry) for entry in simulation.records()]
+        begin = time.process_time()
+        run_offline(GRAPH, parameters, simulation.records(), lambda *item: items.append(_slim(*item)))
+        wall = time.process_time() - begin
     span = (simulation.entries[-1].log_time_ns - simulation.entries[0].log_time_ns) / 1e9
     return collect(items, f"{plan.scenario}, seed {seed}", parse(truth_document(simulation))), span / wall
+
+
+def _slim(log_ns: int, topic: str, record: Record) -> Item:
+    """The item without what evaluation does not look at: motions and their Jacobians fill half a gigabyte."""
+    return log_ns, topic, Record(record.stamp_ns) if topic in NOT_KEPT else record
 
 
 def measures(result: Evaluation, run: Run, speed: float) -> dict[str, float | None]:
@@ -115,7 +121,8 @@ def measures(result: Evaluation, run: Run, speed: float) -> dict[str, float | No
     from fbn_bringup.evaluation.evaluate import target_errors
 
     drifts = [d.deadreck.percent for d in result.dives if d.deadreck and d.deadreck.distance > 1.0]
-    target = target_errors(run)[1]
+    stamps, errors, _ = target_errors(run)
+    target = errors[[any(leg.contains(int(t)) for leg in run.legs()) for t in stamps]]  # while under water and matched
     found: dict[str, float | None] = {
         "dives": len(result.dives),
         "dives_matched": result.matched,
@@ -123,7 +130,7 @@ def measures(result: Evaluation, run: Run, speed: float) -> dict[str, float | No
         "wrong_pairs": sum(d.matches.wrong for d in result.dives if d.matches.declared),
         "on_map_median_m": result.on_map_median,
         "on_map_final_m": result.on_map_final,
-        "target_error_m": float(np.linalg.norm(target[-1, :2])) if len(target) else None,
+        "target_median_m": float(np.median(np.linalg.norm(target[:, :2], axis=1))) if len(target) else None,
         "drift_median_percent": float(np.median(drifts)) if drifts else None,
         "drift_worst_percent": max(drifts, default=None),
         "reference_median_m": next((e.median for e in result.errors if e.name == "reference/odometry"), None),
@@ -165,37 +172,34 @@ def spread(name: str, values: list[float]) -> Spread:
     )
 
 
-def summary_table(plan: Plan, rows: list[Row]) -> Table:
-    """The campaign in a table."""
+def summary_tables(plan: Plan, rows: list[Row]) -> tuple[Table, Table]:
+    """The campaign in two tables: what was reached, and whether the estimators knew how good they were."""
     good = [row for row in rows if not row.error]
-    t = table(
+    reached = table(
         f"{plan.scenario}: {len(good)} of {len(rows)} seeds",
-        "measure",
-        "seeds",
-        "total",
-        "median",
-        "5 %",
-        "95 %",
-        "worst",
-        "band of the mean",
+        *("measure", "seeds", "total", "median", "5 %", "95 %", "worst"),
     )
+    honest = table("NEES over its degrees of freedom", "of", "seeds", "mean", "95 % band", "median", "worst")
     for s in spreads(good):
-        unit, digits, _ = MEASURES.get(s.name, ("", 2, True))
-        total = number(s.total, 0) if not unit and s.name in MEASURES else ""
-        name = f"{s.name} [{unit}]".replace("[", "\\[") if unit else s.name
-        t.add_row(
-            name, str(s.seeds), total, *(number(v, digits) for v in (s.median, s.low, s.high, s.worst)), _band(s, good)
-        )
-    return t
+        if s.name.startswith("nees: "):
+            mean, band = _band(s, good)
+            honest.add_row(s.name.removeprefix("nees: "), str(s.seeds), mean, band, number(s.median), number(s.worst))
+        else:
+            unit, digits, _ = MEASURES[s.name]
+            total = "" if unit else number(s.total, 0)
+            name = f"{s.name} \\[{unit}]" if unit else s.name
+            reached.add_row(name, str(s.seeds), total, *(number(v, digits) for v in (s.median, s.low, s.high, s.worst)))
+    honest.caption = "the band of the mean were each run one independent sample: its samples are correlated"
+    return reached, honest
 
 
-def _band(s: Spread, rows: list[Row]) -> str:
-    """For NEES: mean over the seeds, and the 95 % band were every run one independent sample."""
-    if not s.name.startswith("nees: ") or not s.seeds:
-        return ""
+def _band(s: Spread, rows: list[Row]) -> tuple[str, str]:
+    """Mean over the seeds, and the 95 % band of a mean of as many independent samples."""
+    if not s.seeds:
+        return "–", "–"
     dof = next((v for row in rows if (v := row.values.get(s.name.replace("nees", "dof", 1)))), 1.0) or 1.0
     low, high = (float(chi2_bound(p, s.seeds * dof)) / (s.seeds * dof) for p in (0.025, 0.975))
-    return f"{s.total / s.seeds:.2f} in {low:.2f}–{high:.2f}"
+    return f"{s.total / s.seeds:.2f}", f"{low:.2f}–{high:.2f}"
 
 
 def write(directory: Path, plan: Plan, rows: list[Row]) -> Path:

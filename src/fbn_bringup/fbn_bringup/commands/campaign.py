@@ -42,7 +42,8 @@ def campaign(
         )
     target = output or Path("out") / f"campaign_{Path(scenario).stem}"
     written = c.write(target, plan, rows)
-    ui.out.print(c.summary_table(plan, rows), "")
+    for table in c.summary_tables(plan, rows):
+        ui.out.print(table, "")
     for row in rows:
         if row.error:
             ui.err.print(f"[red]seed {row.seed}:[/] {ui.escape(row.error)}")
