@@ -84,11 +84,13 @@ def test_an_extra_prediction_changes_nothing(
             published += runner.step(middle_ns, [e for e in step.logged if e[0] <= middle_ns], whole=False)
             later = [e for e in step.logged if e[0] > middle_ns]
         published += runner.step(step.end_ns, later)
-    assert_same_poses(baseline, {t: record for t, record in published if t in TRACKS and isinstance(record, r.Odometry)})
+    assert_same_poses(
+        baseline, {t: record for t, record in published if t in TRACKS and isinstance(record, r.Odometry)}
+    )
 
 
 def assert_same_poses(one: Final, other: Final) -> None:
-    """Within 1 mm and 0.001 degrees, at the same time (give or take the microsecond that the jitter may have moved it)."""
+    """Within 1 mm and 0.001 degrees, at the same time but for the microsecond of the jitter."""
     assert one.keys() == other.keys() == set(TRACKS)
     for topic in TRACKS:
         a, b = one[topic], other[topic]

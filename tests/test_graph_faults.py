@@ -81,7 +81,10 @@ MALFORMED: dict[str, tuple[str, Callable[[Log], Iterable[Any]]]] = {
     "NaN in pressure": ("pressure", spoilt("pressure", with_field("fluid_pressure", np.nan))),
     "NaN in the altitude": ("altitude", spoilt("altitude", with_field("range", np.nan))),
     "a zero quaternion": ("imu/data", spoilt("imu/data", with_field("orientation", np.zeros(4)))),
-    "NaN in a covariance": ("imu/data", spoilt("imu/data", with_field("orientation_covariance", np.full((3, 3), np.nan)))),
+    "NaN in a covariance": (
+        "imu/data",
+        spoilt("imu/data", with_field("orientation_covariance", np.full((3, 3), np.nan))),
+    ),
     "NaN in a fix": ("gps/fix", spoilt("gps/fix", lambda fix: dataclasses.replace(fix, status=0, latitude=np.nan))),
     "a velocity too many": ("actuators", spoilt("actuators", with_field("velocity", np.zeros(9)))),
 }

@@ -63,7 +63,11 @@ def test_a_live_node_advances_by_its_timer_and_publishes(domain: int) -> None:
 BAD = {
     "a pressure that is no number": ("pressure", with_field("fluid_pressure", float("nan")), "fluid_pressure"),
     "a quaternion of zero norm": ("imu/data", with_field("orientation", np.zeros(4)), "orientation"),
-    "a covariance with a NaN": ("imu/data", with_field("orientation_covariance", np.full((3, 3), np.nan)), "covariance"),
+    "a covariance with a NaN": (
+        "imu/data",
+        with_field("orientation_covariance", np.full((3, 3), np.nan)),
+        "covariance",
+    ),
 }
 
 
@@ -125,6 +129,9 @@ def test_parameters_are_declared_with_unit_and_origin(domain: int) -> None:
     ],
 )
 def test_a_wrong_parameter_is_refused_with_the_remedy(parameters: dict[str, Any], said: str, domain: int) -> None:
-    with pytest.raises(ParameterError) as caught, NodeHarness(FAKE_GRAPH.node("global"), domain, parameters, graph=FAKE_GRAPH):
+    with (
+        pytest.raises(ParameterError) as caught,
+        NodeHarness(FAKE_GRAPH.node("global"), domain, parameters, graph=FAKE_GRAPH),
+    ):
         pass
     assert said in str(caught.value)

@@ -39,7 +39,9 @@ def test_truth_and_what_else_was_logged_goes_into_the_runs_bag(river: Path, rive
         assert all(run.topics[topic] == source.topics[topic] for topic in source.topics)
 
 
-def test_the_tail_of_a_log_run_again_gives_the_same(river_run: Path, river_options: ReplayOptions, tmp_path: Path) -> None:
+def test_the_tail_of_a_log_run_again_gives_the_same(
+    river_run: Path, river_options: ReplayOptions, tmp_path: Path
+) -> None:
     """Outputs of the nodes that are left out come from the log, at the same steps."""
     tail = dataclasses.replace(river_options, only=("fbn_tracking", "fbn_global"))
     replay_offline(river_run / "bag", tmp_path / "run", tail)

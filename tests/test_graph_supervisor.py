@@ -18,9 +18,10 @@ from fbn_bringup.environment import node_environment
 from fbn_bringup.shared_memory import clean_shared_memory
 from fbn_bringup.supervisor import Command, Restart, Supervisor
 
-SLEEPER = "import signal, time; signal.signal(signal.SIGINT, lambda *_: exit(0)); print('up', flush=True); time.sleep(60)"
-STUBBORN = "import signal, time; [signal.signal(s, signal.SIG_IGN) for s in (2, 15)]; print('up', flush=True); time.sleep(60)"
-PARENT = "import subprocess, sys, time; subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)']); print('up', flush=True); time.sleep(60)"
+UP = "import signal, subprocess, sys, time; {}; print('up', flush=True); time.sleep(60)"
+SLEEPER = UP.format("signal.signal(signal.SIGINT, lambda *_: exit(0))")
+STUBBORN = UP.format("[signal.signal(s, signal.SIG_IGN) for s in (2, 15)]")
+PARENT = UP.format("subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])")
 
 
 def python(name: str, code: str) -> Command:

@@ -38,7 +38,7 @@ def node_files(parameters: Parameters) -> dict[str, Any]:
     """
     document = {}
     for name, values in parameters.items():
-        plain = {k: v for k, v in flatten(values).items() if v is not None and v != []}
+        plain = {k: v for k, v in flatten(values).items() if v not in (None, [])}
         document[f"/**/{name}"] = {"ros__parameters": plain}
     return document
 

@@ -18,7 +18,7 @@ def node_environment(*, domain_id: int | None = None, network: bool = False) -> 
     A Fast DDS profile chosen by the user is left alone.
     """
     environment = dict(os.environ)
-    environment |= {name: "1" for name in THREADS}  # small matrices: a second thread only costs
+    environment |= dict.fromkeys(THREADS, "1")  # small matrices: a second thread only costs
     if network:
         environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
     else:

@@ -21,6 +21,7 @@ from fbn_bringup.supervisor import Command, OnLine, Restart, Supervisor
 from fbn_common.graph import GRAPH, Graph
 
 WATCH_S = 0.2
+RESTART = Restart()
 
 
 def run_live(
@@ -34,7 +35,7 @@ def run_live(
     log_level: str = "info",
     graph: Graph = GRAPH,
     on_line: OnLine | None = None,
-    restart: Restart = Restart(),
+    restart: Restart = RESTART,
 ) -> int:
     """Run the nodes until SIGINT or SIGTERM; 0 after a clean end, 1 if a node died too often.
 
@@ -48,18 +49,15 @@ def run_live(
         file.write_text(yaml.safe_dump(node_files(parameters), sort_keys=False))
         commands = [_command(graph, name, file, namespace, use_sim_time, log_level) for name in parameters]
         environment = node_environment(network=network)
-        with _stop_requests() as stopped:
-            with Supervisor(commands, environment, restart, on_line or Console([c.name for c in commands])) as nodes:
-                while not stopped() and not nodes.given_up():
-                    nodes.watch()
-                    time.sleep(WATCH_S)
-                lost = nodes.given_up()
-    return 1 if lost else 0
+        say = on_line or Console([c.name for c in commands])
+        with _stop_requests() as stopped, Supervisor(commands, environment, restart, say) as nodes:
+            while not stopped() and not nodes.given_up():
+                nodes.watch()
+                time.sleep(WATCH_S)
+            return 1 if nodes.given_up() else 0
 
 
-def _command(
-    graph: Graph, name: str, parameters: Path, namespace: str, use_sim_time: bool, log_level: str
-) -> Command:
+def _command(graph: Graph, name: str, parameters: Path, namespace: str, use_sim_time: bool, log_level: str) -> Command:
     arguments = ["--params-file", str(parameters), "--log-level", log_level]
     if use_sim_time:
         arguments += ["-p", "use_sim_time:=true"]

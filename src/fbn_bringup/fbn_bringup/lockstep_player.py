@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Self
 
 from fbn_bringup import rundir
@@ -83,9 +84,11 @@ class LockStepPlayer(Player):
 
     def _wait_for(self, step: int) -> None:
         while self._written < step:
-            before = self._written
-            limit = STEP_LIMIT_S if before >= FIRST_STEP else START_S
-            self.spin_until(lambda: self._written > before, limit, self._stuck)
+            limit = STEP_LIMIT_S if self._written >= FIRST_STEP else START_S
+            self.spin_until(partial(self._beyond, self._written), limit, self._stuck)
+
+    def _beyond(self, step: int) -> bool:
+        return self._written > step
 
     def _stuck(self) -> ReplayError:
         waiting = [

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from fbn_bringup import rundir
 from fbn_bringup.configuration import load_parameters
-from fbn_bringup.rundir import STEP_S, OnProgress, ReplayOptions, RunSummary
+from fbn_bringup.rundir import DEFAULTS, STEP_S, OnProgress, ReplayOptions, RunSummary
 from fbn_common.graph import Graph
 from fbn_common.records import Record
 from fbn_common.types import nanoseconds
@@ -132,7 +132,7 @@ def stamped(end_ns: int, outputs: list[Any]) -> Iterator[tuple[int, Any]]:
 
 
 def replay_offline(
-    bag: Path, run: Path, options: ReplayOptions = ReplayOptions(), on_progress: OnProgress | None = None
+    bag: Path, run: Path, options: ReplayOptions = DEFAULTS, on_progress: OnProgress | None = None
 ) -> RunSummary:
     """Replay a log in this process and write the run directory.
 

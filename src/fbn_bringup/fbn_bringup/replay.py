@@ -20,7 +20,7 @@ from fbn_bringup.environment import adopt, node_environment, private_domain
 from fbn_bringup.lockstep_player import LockStepPlayer
 from fbn_bringup.paced_player import PacedPlayer
 from fbn_bringup.player import Player
-from fbn_bringup.rundir import NodeSummary, OnProgress, ReplayError, ReplayOptions, RunSummary
+from fbn_bringup.rundir import DEFAULTS, NodeSummary, OnProgress, ReplayError, ReplayOptions, RunSummary
 from fbn_bringup.supervisor import Command, Supervisor, ended
 from fbn_common.graph import Graph
 from fbn_ros.bag import BagReader, BagWriter
@@ -31,7 +31,7 @@ __all__ = ["ReplayError", "replay_nodes"]
 def replay_nodes(
     bag: Path,
     run: Path,
-    options: ReplayOptions = ReplayOptions(),
+    options: ReplayOptions = DEFAULTS,
     on_progress: OnProgress | None = None,
     rate: float | None = None,
     on_line: Callable[[str, str], None] = lambda name, line: None,

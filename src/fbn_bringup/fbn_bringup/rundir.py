@@ -64,6 +64,9 @@ class ReplayOptions:
         return self.graph.only(self.only) if self.only else self.graph
 
 
+DEFAULTS = ReplayOptions()
+
+
 @dataclass(frozen=True, slots=True)
 class NodeSummary:
     """One node's part in a run."""
@@ -79,9 +82,9 @@ class NodeSummary:
     @classmethod
     def of(cls, host: Host) -> NodeSummary:
         health: Health = host.health()
-        counts = (dict(sorted(c.items())) for c in (host.received, host.published, host.refused))
         values = {k: v.item() if isinstance(v, np.generic) else v for k, v in health.values.items()}
-        return cls(host.cpu_ns / NS, *counts, health.level.name, health.message, values)
+        received, published, refused = (dict(sorted(c.items())) for c in (host.received, host.published, host.refused))
+        return cls(host.cpu_ns / NS, received, published, refused, health.level.name, health.message, values)
 
 
 @dataclass(frozen=True, slots=True)

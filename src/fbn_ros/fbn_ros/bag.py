@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -38,7 +39,8 @@ class Logged(NamedTuple):
     record: Record | ConversionError  # the error says why there is no record
 
 
-class BagTopic(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class BagTopic:
     """What a bag says of one of its topics."""
 
     ros_type: str
@@ -128,7 +130,9 @@ class BagReader:
         """Raise BagError unless the topic's type is the one that the graph declares."""
         connection, expected = self.connection(topic), self.known[topic].ros_type
         if connection.msgtype != expected:
-            raise BagError(f"{self.path}: topic {topic} is {connection.msgtype}, expected {expected}; convert or rename it")
+            raise BagError(
+                f"{self.path}: topic {topic} is {connection.msgtype}, expected {expected}; convert or rename it"
+            )
         ours = typestore().hash_rihs01(expected)
         if connection.digest and connection.digest != ours and expected.startswith("fbn_msgs/"):
             raise BagError(
@@ -154,7 +158,7 @@ class BagReader:
         try:
             bag = salvage([f for f in files if f.suffix == ".mcap"])
         except (ReaderError, OSError, ValueError) as error:
-            raise BagError(f"{self.path}: not a readable bag: {error or cause}") from error
+            raise BagError(f"{self.path}: not a readable bag: {error}") from error
         self.truncated = f"{self.path} is damaged ({cause}); {bag.lost}"
         return bag
 
@@ -230,9 +234,7 @@ class BagWriter:
 
     def _connect(self, topic: str, ros_type: str) -> Connection:
         qos = [bag_qos(self.known[topic])] if topic in self.known else []
-        return self._writer.add_connection(
-            _absolute(topic), ros_type, typestore=typestore(), offered_qos_profiles=qos
-        )
+        return self._writer.add_connection(_absolute(topic), ros_type, typestore=typestore(), offered_qos_profiles=qos)
 
 
 def _absolute(topic: str) -> str:

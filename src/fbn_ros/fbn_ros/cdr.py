@@ -18,8 +18,13 @@ _BROKEN = (AssertionError, IndexError, ValueError, struct.error, MemoryError, Ru
 class Serialiser(Protocol):
     """A family of message classes that can be made bytes and read again."""
 
-    factory: MessageFactory
-    errors: tuple[type[Exception], ...]  # raised by read for bytes that are no such message
+    @property
+    def factory(self) -> MessageFactory: ...
+
+    @property
+    def errors(self) -> tuple[type[Exception], ...]:
+        """Raised by read for bytes that are no such message."""
+        ...
 
     def write(self, message: Any, ros_type: str) -> bytes: ...
 
@@ -30,15 +35,11 @@ class Cdr:
     """Serialised messages (CDR, little endian) of records; by rosbags unless another serialiser is given."""
 
     def __init__(self, serialiser: Serialiser | None = None) -> None:
-        if serialiser is None:
-            from fbn_ros.definitions import RosbagsSerialiser
-
-            serialiser = RosbagsSerialiser()
-        self.serialiser = serialiser
-        self.conversion = Conversion(serialiser.factory)
+        self.serialiser = serialiser or _of_rosbags()
+        self.conversion = Conversion(self.serialiser.factory)
         self._flat: dict[type, Flat | None] = {}
         self._narrow: dict[str, bool] = {}
-        self._errors = (*_BROKEN, *serialiser.errors)
+        self._errors: tuple[type[BaseException], ...] = (*_BROKEN, *self.serialiser.errors)
 
     def encode(self, record: Record) -> bytes:
         """The bytes of the record's message."""
@@ -65,7 +66,7 @@ class Cdr:
             message = self.serialiser.read(data, record_type.ros_type)
         except self._errors as error:
             expected = f"the bytes of a {record_type.ros_type}"
-            raise ConversionError(topic, "message", expected, f"{len(data)} bytes ({error or 'malformed'})") from None
+            raise ConversionError(topic, "message", expected, f"{len(data)} bytes ({str(error) or 'malformed'})") from None
         return self.conversion.to_record(topic, record_type, message)
 
     def as_sent(self, record: R) -> R:
@@ -88,3 +89,9 @@ class Cdr:
     def _is_narrow(self, field_type: str) -> bool:
         item = re.sub(r"sequence<(.*)>|\[\d*\]", r"\1", field_type)
         return item == "float" or ("/" in item and self._narrows(item.replace("/", "/msg/")))
+
+
+def _of_rosbags() -> Serialiser:
+    from fbn_ros.definitions import RosbagsSerialiser  # slow to import, and no node needs it
+
+    return RosbagsSerialiser()

@@ -260,5 +260,3 @@ def pose_codec(factory: MessageFactory) -> Codec:
         lambda p: pose(position=point.encode(p.position), orientation=quaternion.encode(p.orientation)),
         lambda p: Pose(point.decode(p.position), quaternion.decode(p.orientation)),
     )
-
-

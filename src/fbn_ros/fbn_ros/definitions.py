@@ -18,7 +18,7 @@ from fbn_common.types import Array
 
 
 def definition_files() -> list[Path]:
-    """The ``.msg`` files of ``fbn_msgs``: of the workspace that is sourced, else of the source tree beside this package.
+    """The ``.msg`` files of ``fbn_msgs``: of the source tree that this is in, else of the workspace that is sourced.
 
     Raises FileNotFoundError saying where they were sought.
     """
@@ -66,7 +66,7 @@ class RosbagsMessages:
 class RosbagsSerialiser:
     """rosbags' serialisation: a :class:`fbn_ros.cdr.Serialiser`."""
 
-    errors = (SerdeError,)
+    errors: tuple[type[Exception], ...] = (SerdeError,)
 
     def __init__(self) -> None:
         self.factory = RosbagsMessages()

@@ -19,14 +19,16 @@ def diagnostic_array(
     silent: Sequence[str] = (),
     gone: Sequence[str] = (),
 ) -> Any:
-    """A ``diagnostic_msgs/DiagnosticArray`` of one node; inputs that are silent or whose publisher is gone are named."""
+    """A ``diagnostic_msgs/DiagnosticArray`` of one node; silent inputs and lost publishers are named."""
     status, key_value = (factory.message(f"diagnostic_msgs/msg/{n}") for n in ("DiagnosticStatus", "KeyValue"))
     header = factory.message("std_msgs/msg/Header")(stamp=time_codec(factory).encode(stamp_ns), frame_id="")
     values = {"silent": " ".join(silent), "gone": " ".join(gone), **health.values, **statistics}
     message = status(
         level=bytes([max(health.level, Level.WARN if gone else Level.OK)]),
         name=f"{node.name}: estimator",
-        message="; ".join((health.message, *(_without(t) for t in (*gone, *silent) if t not in silent or t not in gone))),
+        message="; ".join(
+            (health.message, *(_without(t) for t in (*gone, *silent) if t not in silent or t not in gone))
+        ),
         hardware_id=node.name,
         values=[key_value(key=k, value=_text(v)) for k, v in values.items()],
     )

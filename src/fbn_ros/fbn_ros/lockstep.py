@@ -44,7 +44,7 @@ class StepGate:
 
     def __init__(self, inputs: Sequence[str], feedback: Sequence[str], publishers: Mapping[str, str]) -> None:
         self.step = FIRST_STEP  # the next to be taken
-        self._lag = {t: 0 for t in inputs} | {t: 1 for t in feedback}
+        self._lag = dict.fromkeys(inputs, 0) | dict.fromkeys(feedback, 1)
         self._publishers = publishers
         self._queues: dict[str, deque[Any]] = {t: deque() for t in self._lag}
         self._taken: Counter[str] = Counter()

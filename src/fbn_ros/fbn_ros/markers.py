@@ -108,5 +108,3 @@ def _quaternion(q: Any) -> Any:
 
 def _colour(colour: Colour) -> Any:
     return ColorRGBA(r=float(colour[0]), g=float(colour[1]), b=float(colour[2]), a=float(colour[3]))
-
-

@@ -23,12 +23,12 @@ class RclpyMessages:
     def message(self, ros_type: str) -> Callable[..., Any]:
         package, _, name = ros_type.split("/")
         try:
-            return getattr(importlib.import_module(f"{package}.msg"), name)  # type: ignore[no-any-return]
+            return getattr(importlib.import_module(f"{package}.msg"), name)
         except (ImportError, AttributeError):
             raise KeyError(f"no message {ros_type}: is its package built, and its workspace sourced?") from None
 
     def numbers(self, ros_type: str, field: str) -> Callable[[Array | Sequence[int]], Any]:
-        """Fixed arrays stay numpy; sequences become ``array.array``, which rclpy takes as it is, without a look at each."""
+        """Fixed arrays stay numpy; sequences become ``array.array``, which rclpy takes as they are."""
         declared: str = self.message(ros_type).get_fields_and_field_types()[field]  # type: ignore[attr-defined]
         if (fixed := re.fullmatch(r"(\w+)\[\d+\]", declared)) is not None:
             dtype = _DTYPES[fixed[1]]
@@ -37,7 +37,7 @@ class RclpyMessages:
         return lambda values: array(code, np.asarray(values, dtype=code).tobytes())
 
     def field_types(self, ros_type: str) -> Mapping[str, str]:
-        return self.message(ros_type).get_fields_and_field_types()  # type: ignore[attr-defined, no-any-return]
+        return self.message(ros_type).get_fields_and_field_types()  # type: ignore[attr-defined]
 
 
 class RclpySerialiser:

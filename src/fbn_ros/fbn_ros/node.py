@@ -200,5 +200,3 @@ class EstimatorNode(RosNode):
 def main_of(name: str, graph: Graph = GRAPH) -> int:
     """Run the node of this name; the exit status."""
     return run_node(lambda: EstimatorNode(graph.node(name), graph))
-
-

@@ -15,7 +15,10 @@ LOCK_STEP_DEPTH = 2000  # messages: no node is more than a few steps behind, and
 
 
 def profile(topic: Topic, *, lock_step: bool = False, lease: bool = False) -> QoSProfile:
-    """The rclpy profile of a topic; in lock step all are reliable, deep, and kept for late joiners; with ``lease``, liveliness is offered or asked."""
+    """The rclpy profile of a topic; with ``lease``, liveliness is offered or asked.
+
+    In lock step all topics are reliable, deep, and kept for late joiners.
+    """
     from rclpy.duration import Duration
     from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 

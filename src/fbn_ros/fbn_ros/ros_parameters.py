@@ -27,7 +27,10 @@ def read_parameters(node: Node, cls: type[Any]) -> Any:
     about = {d.name: d for d in describe(cls)}
     for name, value in flatten(parameters).items():
         descriptor = ParameterDescriptor(
-            description=_text(about.get(name)), read_only=True, dynamic_typing=True, additional_constraints="fixed at start"
+            description=_text(about.get(name)),
+            read_only=True,
+            dynamic_typing=True,
+            additional_constraints="fixed at start",
         )
         if name in own:
             node.undeclare_parameter(name)

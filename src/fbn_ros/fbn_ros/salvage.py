@@ -24,7 +24,10 @@ class Salvaged:
         self.lost = lost
         self._readers = readers
         self.connections = [c for r in readers[:1] for c in r.connections]
-        counts = {c.topic: sum(d.msgcount for r in readers for d in r.connections if d.topic == c.topic) for c in self.connections}
+        counts = {
+            c.topic: sum(d.msgcount for r in readers for d in r.connections if d.topic == c.topic)
+            for c in self.connections
+        }
         self.connections = [c._replace(msgcount=counts[c.topic]) for c in self.connections]
 
     @property

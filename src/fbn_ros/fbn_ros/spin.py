@@ -21,7 +21,7 @@ def make_executor(context: Context | None = None) -> Executor:
         from rclpy.experimental import EventsExecutor
     except ImportError:
         return SingleThreadedExecutor(context=context)
-    return EventsExecutor(context=context)  # type: ignore[no-any-return]
+    return EventsExecutor(context=context)
 
 
 def spin(executor: Executor, future: Future[Any] | None = None, timeout_s: float = FOREVER_S) -> None:

@@ -67,7 +67,8 @@ def _fluid_pressure(factory: c.MessageFactory) -> Conversions:
         )
 
     def to_record(m: Any) -> r.FluidPressure:
-        return r.FluidPressure(*header.decode(m.header), float(m.fluid_pressure), float(m.variance))
+        stamp_ns, frame_id = header.decode(m.header)
+        return r.FluidPressure(stamp_ns, frame_id, float(m.fluid_pressure), float(m.variance))
 
     return {r.FluidPressure: c.Fields(to_message, to_record)}
 
@@ -85,8 +86,9 @@ def _range(factory: c.MessageFactory) -> Conversions:
         )
 
     def to_record(m: Any) -> r.Range:
-        values = (float(getattr(m, name)) for name in numbers)
-        return r.Range(*header.decode(m.header), int(m.radiation_type), *values)
+        stamp_ns, frame_id = header.decode(m.header)
+        values = {name: float(getattr(m, name)) for name in numbers}
+        return r.Range(stamp_ns, frame_id, int(m.radiation_type), **values)
 
     return {r.Range: c.Fields(to_message, to_record)}
 
@@ -132,8 +134,9 @@ def _joint_state(factory: c.MessageFactory) -> Conversions:
         )
 
     def to_record(m: Any) -> r.JointState:
+        stamp_ns, frame_id = header.decode(m.header)
         arrays = (array.decode(m.position), array.decode(m.velocity), array.decode(m.effort))
-        return r.JointState(*header.decode(m.header), tuple(m.name), *arrays)
+        return r.JointState(stamp_ns, frame_id, tuple(m.name), *arrays)
 
     return {r.JointState: c.Fields(to_message, to_record)}
 
@@ -155,9 +158,11 @@ def _odometry(factory: c.MessageFactory) -> Conversions:
         )
 
     def to_record(m: Any) -> r.Odometry:
+        stamp_ns, frame_id = header.decode(m.header)
         linear, angular = m.twist.twist.linear, m.twist.twist.angular
         return r.Odometry(
-            *header.decode(m.header),
+            stamp_ns,
+            frame_id,
             str(m.child_frame_id),
             pose=pose.decode(m.pose.pose),
             twist=np.concatenate((vector.decode(linear), vector.decode(angular))),
@@ -180,8 +185,9 @@ def _pose_stamped(factory: c.MessageFactory) -> Conversions:
         )
 
     def to_record(m: Any) -> r.PoseWithCovarianceStamped:
+        stamp_ns, frame_id = header.decode(m.header)
         covariance = c.named("pose.covariance", matrix, m.pose.covariance)
-        return r.PoseWithCovarianceStamped(*header.decode(m.header), pose.decode(m.pose.pose), covariance)
+        return r.PoseWithCovarianceStamped(stamp_ns, frame_id, pose.decode(m.pose.pose), covariance)
 
     return {r.PoseWithCovarianceStamped: c.Fields(to_message, to_record)}
 
@@ -191,11 +197,10 @@ def _vector_stamped(factory: c.MessageFactory) -> Conversions:
     vector = c.vector_codec(factory)
 
     def to_message(record: r.Vector3Stamped) -> Any:
-        return message(
-            header=header.encode((record.stamp_ns, record.frame_id)), vector=vector.encode(record.vector)
-        )
+        return message(header=header.encode((record.stamp_ns, record.frame_id)), vector=vector.encode(record.vector))
 
     def to_record(m: Any) -> r.Vector3Stamped:
-        return r.Vector3Stamped(*header.decode(m.header), vector.decode(m.vector))
+        stamp_ns, frame_id = header.decode(m.header)
+        return r.Vector3Stamped(stamp_ns, frame_id, vector.decode(m.vector))
 
     return {r.Vector3Stamped: c.Fields(to_message, to_record)}

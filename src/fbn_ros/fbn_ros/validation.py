@@ -37,7 +37,7 @@ def finite_number(name: str, value: float) -> None:
 
 def finite_array(name: str, values: Any) -> None:
     if not isfinite(values.sum()):  # one pass: NaN and infinities survive a sum
-        raise Malformed(name, "finite numbers", str([float(v) for v in values.flat if not isfinite(v)][0]))
+        raise Malformed(name, "finite numbers", str(next(float(v) for v in values.flat if not isfinite(v))))
 
 
 def covariance(name: str, matrix: Any) -> None:

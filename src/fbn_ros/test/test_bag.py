@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fbn_common import records as r
-from fbn_ros.bag import BagError, BagReader, BagWriter
+from fbn_ros.bag import BagError, BagReader, BagTopic, BagWriter
 from fbn_ros.conversion import ConversionError
 from fbn_testing.compare import first_difference
 from fbn_testing.examples import example
@@ -24,7 +24,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_log_comes_back_as_it_was_written(log: Path) -> None:
     with BagReader(log) as reader:
-        assert reader.topics["imu/data"] == ("sensor_msgs/msg/Imu", 200)
+        assert reader.topics["imu/data"] == BagTopic("sensor_msgs/msg/Imu", 200)
         assert first_difference(reader.records(), sensor_log(20.0)) == ""
         assert reader.truncated == ""
 
@@ -100,7 +100,10 @@ def test_a_recording_that_was_killed_has_no_metadata_and_is_read_all_the_same(lo
 def test_a_topic_of_another_type_is_refused_by_name(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         writer.write(1, "imu/data", sensor_record("pressure", 1, 0, RNG))
-    with BagReader(tmp_path / "bag") as reader, pytest.raises(BagError, match=r"imu/data is sensor_msgs/msg/FluidPressure"):
+    with (
+        BagReader(tmp_path / "bag") as reader,
+        pytest.raises(BagError, match=r"imu/data is sensor_msgs/msg/FluidPressure"),
+    ):
         list(reader.records())
 
 

@@ -27,7 +27,9 @@ def difference(a: Any, b: Any, path: str = "") -> str:
     if isinstance(a, tuple):
         if len(a) != len(b):
             return f"{path}: {len(a)} and {len(b)} items"
-        return next(filter(None, (difference(x, y, f"{path}[{i}]") for i, (x, y) in enumerate(zip(a, b, strict=True)))), "")
+        return next(
+            filter(None, (difference(x, y, f"{path}[{i}]") for i, (x, y) in enumerate(zip(a, b, strict=True)))), ""
+        )
     if isinstance(a, Exception):
         a, b = str(a), str(b)
     return "" if a == b or (a != a and b != b) else f"{path}: {a} and {b}"

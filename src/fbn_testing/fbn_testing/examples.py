@@ -15,9 +15,7 @@ from fbn_common.types import Array
 T = TypeVar("T")
 
 RECORD_TYPES = tuple(
-    kind
-    for kind in vars(r).values()
-    if isinstance(kind, type) and issubclass(kind, r.Record) and kind is not r.Record
+    kind for kind in vars(r).values() if isinstance(kind, type) and issubclass(kind, r.Record) and kind is not r.Record
 )
 
 
@@ -68,8 +66,8 @@ def _consistent(record: Any, rng: np.random.Generator, items: int) -> Any:
     match record:
         case r.CompositeMeasurement():
             n = 13 + 3 * len(record.features)
-            parts = {"mean": _array("mean", (n,), rng), "covariance": _array("covariance", (n, n), rng)}
-            return dataclasses.replace(record, **parts)
+            mean, covariance = _array("mean", (n,), rng), _array("covariance", (n, n), rng)
+            return dataclasses.replace(record, mean=mean, covariance=covariance)
         case r.SweptArea():
             return dataclasses.replace(record, scans=_array("scans", (record.width * record.height,), rng))
         case r.FeatureMap():

@@ -94,8 +94,20 @@ class FakePredict(Digest):
 
     def _motion(self, end_ns: int, tick: int) -> r.PredictedMotion:
         increment = np.array([self.value + end_ns % 7, 0.0, 0.0])
-        zeros = (np.zeros(s) for s in (3, 6, 6, 15, (12, 6), (12, 3), (12, 15), (12, 12)))
-        return r.PredictedMotion(end_ns, end_ns - tick, increment, *zeros, np.array([0.0, 0.0, 0.0, 1.0]))
+        return r.PredictedMotion(
+            end_ns,
+            end_ns - tick,
+            increment=increment,
+            rotation=np.zeros(3),
+            velocity_start=np.zeros(6),
+            velocity_end=np.zeros(6),
+            parameters=np.zeros(15),
+            jacobian_velocity=np.zeros((12, 6)),
+            jacobian_attitude=np.zeros((12, 3)),
+            jacobian_parameters=np.zeros((12, 15)),
+            noise=np.zeros((12, 12)),
+            attitude_start=IDENTITY.orientation,
+        )
 
 
 class FakeDeadreck(Digest):
