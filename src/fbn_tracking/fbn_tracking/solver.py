@@ -12,7 +12,7 @@ from scipy.linalg import solve_triangular
 from fbn_common.types import Array
 
 _ITERATIONS = 30
-_CONVERGED = 1e-8  # of the energy
+_CONVERGED = 1e-7  # of the energy
 _MOST_DAMPING = 1e8
 _THETA = gtsam.noiseModel.Unit.Create(3)
 
