@@ -186,7 +186,7 @@ def test_the_demo_ends_with_a_table_and_a_report(fbn, short_bag, tmp_path, monke
     monkeypatch.setattr("fbn_bringup.commands.demo.sample_log", lambda: short_bag)
     status, out, _ = fbn("demo", "--offline", "-o", tmp_path / "demo")
     assert status == 0
-    assert "fbn_global" in out and "of distance" in out and "report.html" in out
+    assert "fbn_global" in out and "drift" in out and "report.html" in out
     assert (tmp_path / "demo" / "report" / "report.html").is_file()
     assert (tmp_path / "demo" / "evaluation.json").is_file()
 

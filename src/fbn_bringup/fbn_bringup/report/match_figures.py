@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 from fbn_bringup.evaluation.run import Run
 from fbn_bringup.report import layers as ly
 from fbn_bringup.report import style as st
-from fbn_bringup.report.figures import (
+from fbn_bringup.report.canvas import (
     GAP,
     base,
     legend_above,

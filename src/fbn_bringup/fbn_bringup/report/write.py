@@ -10,14 +10,43 @@ import numpy as np
 
 from fbn_bringup.evaluation.evaluate import DiveResult, ErrorTracks, Evaluation, error_tracks, evaluate
 from fbn_bringup.evaluation.run import Run
-from fbn_bringup.report import figures as f
 from fbn_bringup.report import match_figures as mf
+from fbn_bringup.report.innovation_figure import innovation_figure
+from fbn_bringup.report.map_figure import map_figure
 from fbn_bringup.report.page import Cell, Section, folded, html_table, page
+from fbn_bringup.report.time_figures import error_figure, profile_figure
 from fbn_bringup.ui import number
 from fbn_common.estimator import Level
 from fbn_common.graph import GRAPH
 
 Advance = Callable[[float, str], None]
+WORDS = {  # title, and what one sees
+    "dives": ("Dives", "Each dive: did the filter find itself on the map, rightly, and how well."),
+    "map": (
+        "Map",
+        "Track over prior and estimated map; ellipses are one standard deviation. The prior map is displaced against "
+        "the true features, and the path on the map follows the map, not GPS. Click a name to switch a layer, drag to "
+        "zoom.",
+    ),
+    "errors": (
+        "Errors",
+        "Estimate less truth; grey: three standard deviations as the filter claims them; blue: under water.",
+    ),
+    "matches": (
+        "Matches",
+        "The bank of hypotheses over time, and what was tracked laid on the map at each dive's end.",
+    ),
+    "tracking": ("Tracking", "Objects by stage, and how much the sonar said."),
+    "profile": ("Depth", "Depth of the vehicle, and of the bottom under it."),
+    "consistency": ("Consistency", "Is each estimate as good as it says? 1 is right, more is over-confident."),
+    "innovations": (
+        "Innovations",
+        "What each measurement said against what was expected: innovation with three sigma (dotted), and its "
+        "normalised square.",
+    ),
+    "traffic": ("Rates and latencies", "In lock step an output's latency is in log time: data are taken in steps."),
+    "health": ("Health and parameters", "Each node's last word, what it cost, and the parameters it ran with."),
+}
 JUDGEMENT = {Level.OK: "good", Level.WARN: "fair", Level.ERROR: "bad", Level.STALE: "bad"}
 
 
@@ -67,64 +96,21 @@ def cards(result: Evaluation) -> list[tuple[str, Cell]]:
 
 
 def _sections(run: Run, result: Evaluation, tracks: ErrorTracks) -> Iterator[Section]:
-    yield Section(
-        "dives",
-        "Dives",
-        "Each dive: did the filter find itself on the map, rightly, and how well.",
-        [dive_table(result)],
-    )
-    yield Section(
-        "map",
-        "Map",
-        "Track over prior and estimated map; ellipses are one standard deviation. The prior map is displaced against "
-        "the true features, and the path on the map follows the map, not GPS. Click a name to switch a layer, drag to "
-        "zoom.",
-        [f.map_figure(run, tracks)],
-    )
-    yield Section(
-        "errors",
-        "Errors",
-        "Estimate less truth; grey: three standard deviations as the filter claims them; blue: under water.",
-        _some(f.error_figure(run, tracks), error_table(result)),
-    )
-    matches = _some(mf.hypothesis_figure(run), mf.overlay_figure(run))
-    yield Section(
-        "matches",
-        "Matches",
-        "The bank of hypotheses over time, and what was tracked laid on the map at each dive's end.",
-        matches,
-    )
-    yield Section(
-        "tracking", "Tracking", "Objects by stage, and how much the sonar said.", _some(mf.tracking_figure(run))
-    )
-    yield Section("profile", "Depth", "Depth of the vehicle, and of the bottom under it.", _some(f.profile_figure(run)))
-    consistency = _some(nees_table(result), sensor_table(result))
-    yield Section(
-        "consistency",
-        "Consistency",
-        "Is each estimate as good as it says? 1 is right, more is over-confident.",
-        consistency,
-    )
-    yield Section(
-        "innovations",
-        "Innovations",
-        "What each measurement said against what was expected: innovation with three sigma (dotted), "
-        "and its normalised square.",
-        _some(f.innovation_figure(run)),
-    )
-    yield Section(
-        "traffic",
-        "Rates and latencies",
-        "In lock step, an output's latency is in log time: data are handled in steps.",
-        _some(mf.latency_figure(run), folded("as a table", traffic_table(run))),
-    )
-    yield Section(
-        "health", "Health and parameters", "Each node's last word, and the parameters it ran with.", _health(run)
-    )
-
-
-def _some(*parts: Any) -> list[Any]:
-    return [part for part in parts if part]
+    parts = {
+        "dives": [dive_table(result)],
+        "map": [map_figure(run, tracks)],
+        "errors": [error_figure(run, tracks), error_table(result)],
+        "matches": [mf.hypothesis_figure(run), mf.overlay_figure(run)],
+        "tracking": [mf.tracking_figure(run)],
+        "profile": [profile_figure(run)],
+        "consistency": [nees_table(result), sensor_table(result)],
+        "innovations": [innovation_figure(run)],
+        "traffic": [mf.latency_figure(run), folded("as a table", traffic_table(run))],
+        "health": _health(run),
+    }
+    for anchor, found in parts.items():
+        title, about = WORDS[anchor]
+        yield Section(anchor, title, about, [part for part in found if part])
 
 
 def dive_table(result: Evaluation) -> str:
