@@ -7,7 +7,20 @@ from typing import Annotated
 
 import typer
 
-from fbn_bringup.commands import campaign, check, demo, docs, evaluate, importing, params, replay, report, run, sim
+from fbn_bringup.commands import (
+    campaign,
+    check,
+    demo,
+    docs,
+    evaluate,
+    evaluate_gps,
+    importing,
+    params,
+    replay,
+    report,
+    run,
+    sim,
+)
 
 HELP = """Feature-based navigation for small AUVs: from sonar detections to "here on the map".
 
@@ -40,6 +53,7 @@ app.add_typer(importing.app, name="import", rich_help_panel="Start here", help=i
 app.command("replay", rich_help_panel="Navigate", help=reflowed(replay.HELP))(replay.replay)
 app.command("run", rich_help_panel="Navigate", help=reflowed(run.HELP))(run.run)
 app.command("evaluate", rich_help_panel="Examine", help=reflowed(evaluate.HELP))(evaluate.evaluate)
+app.command("evaluate-gps", rich_help_panel="Examine", help=reflowed(evaluate_gps.HELP))(evaluate_gps.evaluate_gps)
 app.command("report", rich_help_panel="Examine", help=reflowed(report.HELP))(report.report)
 app.command("params", rich_help_panel="Examine", help=reflowed(params.HELP))(params.params)
 app.command("sim", rich_help_panel="Simulate", help=reflowed(sim.HELP))(sim.sim)

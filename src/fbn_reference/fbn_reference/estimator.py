@@ -25,6 +25,7 @@ from fbn_common.motion_ekf.layout import (
     Kind,
 )
 from fbn_common.motion_ekf.monitor import all_finite, content_of
+from fbn_common.motion_ekf.parameters import quantile_table
 from fbn_common.motion_ekf.sensors import Unusable, usable_covariance
 from fbn_common.records import BeaconRange, Datum, NavSatFix, Record, ReferenceFix, VehicleParameters, Verdict
 from fbn_common.types import Array, nanoseconds
@@ -64,7 +65,7 @@ class Reference(MotionFilter):
         base.tau[GPS - 27 :] = gps.time_constant
         base.lever[Kind.POSITION], base.lever[Kind.RANGE] = gps.position, lbl.position
         base.lockout[Kind.RANGE] = lbl.lockout
-        base.gate[1:, Kind.RANGE] = base.gate[1:, Kind.POSITION]
+        base.gate[:, Kind.RANGE] = quantile_table({Kind.RANGE: lbl.gate})[:, Kind.RANGE]
         return base._replace(
             white=gps.white,
             correlated=gps.correlated**2,

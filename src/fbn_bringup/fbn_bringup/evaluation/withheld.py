@@ -24,7 +24,7 @@ import numpy as np
 from fbn_bringup.configuration import load_parameters
 from fbn_bringup.evaluation.consistency import nees
 from fbn_bringup.evaluation.run import Item, RunError
-from fbn_bringup.evaluation.series import Track, every, track
+from fbn_bringup.evaluation.series import Stamps, Track, every, track
 from fbn_bringup.offline import run_offline
 from fbn_common import records as r
 from fbn_common.geodesy import GeodeticPoint, enu_from_geodetic
@@ -43,7 +43,7 @@ class Withheld:
 
     seconds: float  # since the last fix that was given
     distance: float  # m
-    stamp_ns: Array
+    stamp_ns: Stamps
     error: Array  # (n, 2) m, estimate less fix, east and north
     nees: Array
     water: Array  # (2,) m/s, the last estimate, towards east and north
