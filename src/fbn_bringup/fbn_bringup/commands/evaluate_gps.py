@@ -21,9 +21,9 @@ twice, with the water estimated and with still water. docs/concepts.md defines e
 
 Examples:
 
-  fbn evaluate-gps bags/mission_1 bags/mission_2 -p iver2.yaml
+  fbn evaluate-gps bags/mission_1 bags/mission_2 -p iver2
 
-  fbn evaluate-gps bags/mission_1 -p iver2.yaml --withhold-after 0.25 --json
+  fbn evaluate-gps bags/mission_1 -p iver2 --withhold-after 0.25 --json
 """
 
 
@@ -49,7 +49,7 @@ def evaluate_gps(
             advance(i / len(bags), bag.name)
             with BagReader(bag, namespace.strip("/")) as reader:
                 log = list(reader.records(GRAPH.only(NODES).external_inputs()))
-            files = tuple(params or ())
+            files = o.parameter_files(params)
             still = withhold(log, files, {**overrides, **STILL_WATER}, withhold_after)
             rows.append((bag.name, still, withhold(log, files, overrides, withhold_after)))
     if as_json:
@@ -102,10 +102,7 @@ def _table(rows: list[tuple[str, Withheld, Withheld]]) -> Table:
             f"{w.water[0]:+.2f}, {w.water[1]:+.2f} m/s",
         )  # fmt: skip
     if len(rows) > 1:
-        median = [
-            float(np.median(values))
-            for values in zip(*((s.final_percent, w.final_percent, w.mean_percent) for _, s, w in rows), strict=True)
-        ]
-        still_median, moving_median, mean_median = (f"{m:.1f} %" for m in median)
-        table.add_row("median", "", "", "", still_median, "", "", moving_median, mean_median, "", "")
+        percent = np.array([[s.final_percent, w.final_percent, w.mean_percent] for _, s, w in rows])
+        still_m, moving_m, mean_m = (f"{m:.1f} %" for m in np.median(percent, axis=0))
+        table.add_row("median", "", "", "", still_m, "", "", moving_m, mean_m, "", "")
     return table
