@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from fbn_bringup.check.findings import Log, Severity
 from fbn_bringup.check.log import check_bag, judge
 from fbn_bringup.evaluation.series import Traffic
+from fbn_bringup.simulation import project_root
 from fbn_common import records as r
 from fbn_common.types import NS
 from fbn_ros.bag import BagReader, BagWriter
@@ -165,13 +166,14 @@ def test_a_clock_that_jumps_back_is_named(good):
     assert "the clock jumped back by" in texts(log)
 
 
-def test_an_empty_bag_and_a_truncated_one_are_told_apart(fbn, short_bag, tmp_path):
+def test_an_empty_bag_and_a_truncated_one_are_told_apart(fbn, tmp_path):
     with BagWriter(tmp_path / "empty"):
         pass
     status, _, err = fbn("check", tmp_path / "empty")
     assert status == 1 and "empty" in err
     (tmp_path / "cut").mkdir()
-    data = next(short_bag.glob("*.mcap")).read_bytes()
+    sample = project_root() / "bags" / "charles_river_2006"  # long enough for several chunks: whole ones are read
+    data = next(sample.glob("*.mcap")).read_bytes()
     (tmp_path / "cut" / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
     verdict = check_bag(tmp_path / "cut")
     assert verdict.log.traffic, "the good part is read"
