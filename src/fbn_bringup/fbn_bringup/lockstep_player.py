@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Self
 
 from fbn_bringup import rundir
 from fbn_bringup.offline import Step, stamped, steps
@@ -14,9 +13,8 @@ from fbn_bringup.rundir import Meter, ReplayError
 from fbn_common.graph import Graph
 from fbn_common.records import NodeProgress
 from fbn_ros.bag import BagReader, BagWriter
-from fbn_ros.lockstep import FIRST_STEP, PLAYER, REPORT, Due, StepGate, progress
-from fbn_ros.node import PROGRESS
-from fbn_ros.qos import profile
+from fbn_ros.lockstep import FIRST_STEP, PLAYER, PROGRESS, REPORT, Due, StepGate, progress
+from fbn_ros.station import Station
 
 WINDOW = 4  # steps that a node may be behind: enough to keep two cores busy
 STEP_LIMIT_S = 30.0  # s without any step being finished
@@ -26,20 +24,23 @@ class LockStepPlayer(Player):
     """Publishes step by step, waits for the nodes, and writes everything in the order of the offline runner."""
 
     def __init__(
-        self, graph: Graph, reader: BagReader, writer: BagWriter, inputs: frozenset[str], check: Callable[[], None]
+        self,
+        station: Station,
+        graph: Graph,
+        reader: BagReader,
+        writer: BagWriter,
+        inputs: frozenset[str],
+        check: Callable[[], None],
     ) -> None:
-        super().__init__(graph, reader, writer, inputs, check)
-        self._gate = StepGate(self.outputs, (), {t: n.name for n in graph.nodes for t in n.outputs})
+        self._gate = StepGate(
+            [t for n in graph.nodes for t in n.outputs], (), {t: n.name for n in graph.nodes for t in n.outputs}
+        )
         self._written = FIRST_STEP - 1
         self._steps: deque[Step] = deque()  # played, not yet written
         self._meter: Meter | None = None
-
-    def __enter__(self) -> Self:
-        super().__enter__()
-        self._progress = self._publisher(PROGRESS)
-        message: Any = self.conversion.factory.message(PROGRESS.ros_type)
-        self.node.create_subscription(message, PROGRESS.name, self._on_progress, profile(PROGRESS, lock_step=True))
-        return self
+        super().__init__(station, graph, reader, writer, inputs, check)
+        station.offer(PROGRESS)
+        station.listen(PROGRESS, self._on_progress)
 
     def wait_for_nodes(self) -> None:
         """Nothing to wait for: whoever comes later gets what was sent before, and the first steps wait for all."""
@@ -58,7 +59,7 @@ class LockStepPlayer(Player):
         """The nodes' health at the very end, for the summary."""
         self.health.clear()
         told = progress(PLAYER, REPORT, self.reader.end_ns, (), {})
-        self._progress.publish(self.conversion.to_message(told))
+        self.station.say(PROGRESS.name, told)
         names = {node.name for node in self.graph.nodes}
         self.spin_until(lambda: names <= self.health.keys(), STEP_LIMIT_S, self._silent)
 
@@ -71,11 +72,11 @@ class LockStepPlayer(Player):
         for _, topic, data in content.logged:
             if topic in taken:
                 self.say(topic, data)
-        self.tell_time(content.end_ns)
+        self.station.tell_time(content.end_ns)
         self._steps.append(content)
         told = progress(PLAYER, step, content.end_ns, self._spoken_for, self.played)
         self._gate.promise(told)
-        self._progress.publish(self.conversion.to_message(told))
+        self.station.say(PROGRESS.name, told)
 
     @property
     def _spoken_for(self) -> list[str]:
@@ -105,8 +106,8 @@ class LockStepPlayer(Player):
         self._gate.add(topic, data)
         self._write_due()
 
-    def _on_progress(self, message: Any) -> None:
-        told = self.conversion.to_record(PROGRESS.name, NodeProgress, message)
+    def _on_progress(self, data: bytes) -> None:
+        told = self.station.cdr.decode(PROGRESS.name, NodeProgress, data)
         if told.node != PLAYER:
             self._gate.promise(told)
             self._write_due()
@@ -115,7 +116,7 @@ class LockStepPlayer(Player):
         while (due := self._gate.due()) is not None:
             self._write(due)
             self._written = due.step
-            self.wake()
+            self.station.wake()
             if self._meter is not None:
                 self._meter.at(due.stamp_ns)
 

@@ -46,14 +46,14 @@ class PacedPlayer(Player):
             due = begin + (self._now_ns - self.reader.start_ns) / NS / rate
             while (left := due - time.monotonic()) > 0.0:
                 self.spin(left)
-            self.tell_time(self._now_ns)
+            self.station.tell_time(self._now_ns)
 
     def _unmatched(self) -> list[str]:
         """Topics that somebody does not hear yet."""
-        missing = [t for t in self.outputs if not self.node.count_publishers(t)]
+        missing = [t for t in self.outputs if not self.station.publishers(t)]
         for topic in self.inputs:
             takers = sum(topic in (*n.inputs, *n.feedback) for n in self.graph.nodes)
-            if self.publishers[topic].get_subscription_count() < takers:
+            if self.station.takers(topic) < takers:
                 missing.append(topic)
         return missing
 

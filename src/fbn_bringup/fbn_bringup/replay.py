@@ -24,6 +24,7 @@ from fbn_bringup.rundir import DEFAULTS, NodeSummary, OnProgress, ReplayError, R
 from fbn_bringup.supervisor import Command, Supervisor, ended
 from fbn_common.graph import Graph
 from fbn_ros.bag import BagReader, BagWriter
+from fbn_ros.station import Report, station
 
 __all__ = ["ReplayError", "replay_nodes"]
 
@@ -53,12 +54,13 @@ def replay_nodes(
         meter = rundir.Meter(reader, on_progress)
         meter.at(reader.start_ns, "starting the nodes")
         nodes = stack.enter_context(_nodes(graph, parameters, run, lock_step=rate is None, on_line=on_line))
-        kind = LockStepPlayer if rate is None else PacedPlayer
-        with kind(graph, reader, writer, inputs, lambda: _check_alive(nodes)) as player:
-            player.wait_for_nodes()
-            meter.restart()
-            player.play(meter, rate or 1.0)
-            summaries = {name: _summary(name, pid, graph, player) for name, pid in nodes.pids.items()}
+        kind: type[Player] = LockStepPlayer if rate is None else PacedPlayer
+        own = stack.enter_context(station("player", lock_step=kind.lock_step))
+        player = kind(own, graph, reader, writer, inputs, lambda: _check_alive(nodes))
+        player.wait_for_nodes()
+        meter.restart()
+        player.play(meter, rate or 1.0)
+        summaries = {name: _summary(name, pid, graph, player) for name, pid in nodes.pids.items()}
         counts = writer.counts
         mode = "lock step" if rate is None else f"paced at {rate:g}"
         summary = rundir.summarise(reader, options, parameters, mode, meter.wall_s, summaries, counts)
@@ -98,7 +100,7 @@ def _check_alive(nodes: Supervisor) -> None:
 def _summary(name: str, pid: int, graph: Graph, player: Player) -> NodeSummary:
     times = psutil.Process(pid).cpu_times()
     node = graph.node(name)
-    level, message, values = player.health.get(name, ("STALE", "never heard of", {}))
+    _, _, level, message, values, _ = player.health.get(name, Report(0, name, "STALE", "never heard of", {}, b""))
     received = {t: n for t in (*node.inputs, *node.feedback) if (n := int(values.get(f"{t} count", 0)))}
     published = {t: n for t in node.outputs if (n := player.published[t])}
     prefix = "malformed "

@@ -116,6 +116,7 @@ class Supervisor:
             running = [c.process for c in self._children.values() if c.process.poll() is None]
             for process in running:
                 _signal_group(process.pid, sent)
+                _signal_group(process.pid, signal.SIGCONT)  # a stopped one cannot end
             deadline = time.monotonic() + patience_s
             for process in running:
                 try:

@@ -66,7 +66,9 @@ class Cdr:
             message = self.serialiser.read(data, record_type.ros_type)
         except self._errors as error:
             expected = f"the bytes of a {record_type.ros_type}"
-            raise ConversionError(topic, "message", expected, f"{len(data)} bytes ({str(error) or 'malformed'})") from None
+            raise ConversionError(
+                topic, "message", expected, f"{len(data)} bytes ({str(error) or 'malformed'})"
+            ) from None
         return self.conversion.to_record(topic, record_type, message)
 
     def as_sent(self, record: R) -> R:

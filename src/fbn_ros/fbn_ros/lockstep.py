@@ -12,8 +12,10 @@ from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from fbn_common.graph import Qos, Topic
 from fbn_common.records import NodeProgress, TopicCount
 
+PROGRESS = Topic("replay/progress", NodeProgress, Qos.FLOW, 1000, "who has taken in which step of a replay")
 PLAYER = "player"
 FIRST_STEP = 1
 REPORT = 0  # in place of a step, from the player: nothing comes any more, tell your health a last time

@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from fbn_common.estimator import Health, Level
-from fbn_common.graph import GRAPH, Graph, Node, Qos, Topic
+from fbn_common.graph import GRAPH, Graph, Node, Topic
 from fbn_common.parameters import flatten
 from fbn_common.records import NodeProgress, Record
 from fbn_ros import extras
@@ -28,14 +28,13 @@ from fbn_ros.cdr import Cdr
 from fbn_ros.conversion import ConversionError
 from fbn_ros.diagnostics import diagnostic_array
 from fbn_ros.host import Host, resolve
-from fbn_ros.lockstep import REPORT, Due, StepGate, progress
+from fbn_ros.lockstep import PROGRESS, REPORT, Due, StepGate, progress
 from fbn_ros.messages import RclpySerialiser
 from fbn_ros.qos import profile
 from fbn_ros.ros_parameters import read_parameters
 from fbn_ros.spin import run_node
 from fbn_ros.statistics import Statistics
 
-PROGRESS = Topic("replay/progress", NodeProgress, Qos.FLOW, 1000, "lock-step replay: who has taken in which step")
 SILENT_S = 3.0  # s without a message on a topic after which diagnostics say so
 DIAGNOSTIC_STEPS = 5  # in lock step, one report a second of the log
 
