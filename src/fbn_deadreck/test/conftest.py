@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+
+from fbn_common.estimator import Output
+from fbn_common.motion_ekf.lockstep import run
 from fbn_deadreck.estimator import Deadreck
 from fbn_deadreck.parameters import DeadreckParameters
 from fbn_predict.estimator import Predict
 from fbn_predict.parameters import PredictParameters
 from fbn_predict.twin import START_NS, Arrivals, Twin, on_time, sail
-
-from fbn_common.estimator import Output
-from fbn_common.motion_ekf.lockstep import run
 
 
 def _sailed(arrivals: Arrivals, **changes: object) -> tuple[list[Output], Deadreck]:

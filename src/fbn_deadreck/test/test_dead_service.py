@@ -7,9 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from fbn_deadreck.dead_service import earth_covariance, pushed
-from fbn_deadreck.estimator import Deadreck
-from fbn_predict.twin import Arrivals, Twin, on_time
 
 from fbn_common.estimator import Output
 from fbn_common.lie import matrix_from_quaternion
@@ -18,6 +15,9 @@ from fbn_common.motion_ekf.core import State
 from fbn_common.motion_ekf.layout import X_ROTATION, X_SIZE
 from fbn_common.records import PingMotion, Pose
 from fbn_common.types import Array
+from fbn_deadreck.dead_service import earth_covariance, pushed
+from fbn_deadreck.estimator import Deadreck
+from fbn_predict.twin import Arrivals, Twin, on_time
 
 Sailed = Callable[[Arrivals], tuple[list[Output], Deadreck]]
 

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from fbn_deadreck.estimator import Deadreck
-from fbn_deadreck.parameters import DeadreckParameters
-from fbn_predict.parameters import PredictParameters
-from fbn_predict.twin import START_NS, Arrivals, Twin, on_time, ping, sail
 
 from fbn_common.estimator import Level, Output
 from fbn_common.graph import GRAPH
 from fbn_common.lie import matrix_from_quaternion, so3_log
 from fbn_common.records import Imu, Innovation, Odometry, Record, Verdict
 from fbn_common.types import Array
+from fbn_deadreck.estimator import Deadreck
+from fbn_deadreck.parameters import DeadreckParameters
+from fbn_predict.parameters import PredictParameters
+from fbn_predict.twin import START_NS, Arrivals, Twin, on_time, ping, sail
 
 Late = Callable[[Twin, int, float], Arrivals]
 Sailed = Callable[[Arrivals], tuple[list[Output], Deadreck]]
@@ -111,7 +112,7 @@ def test_the_same_data_gives_the_same_bits(sailed: Sailed, twin: Twin, voyage: t
 
 def test_position_never_jumps(voyage: tuple[list[Output], Deadreck]) -> None:
     lines = odometry(voyage[0])
-    steps = np.array([difference(a, b)[0] for a, b in zip(lines, lines[1:], strict=False)])
+    steps = np.array([difference(a, b)[0] for a, b in pairwise(lines)])
     assert steps.max() < 0.03 * 1.0 + 0.05  # 1 m/s over 30 ms, and z's correction: its sigma, 3 cm, and a margin
 
 

@@ -61,8 +61,11 @@ def sail(
     commands = np.empty((n, 5))
     y, s = np.empty(12), np.empty((12, COLUMNS))
     for i in range(n):
-        commands[i] = _command(i * _DT, seconds, turn_s, depth, position[i], rotation[i], velocity[i])
-        step(velocity[i], rotation[i], p, commands[i], depth, _DT, model, y, s, False)
+        held = i > 0 and i % 10 != 7  # the filters are told at 10 Hz
+        commands[i] = (
+            commands[i - 1] if held else _command(i * _DT, turn_s, depth, position[i], rotation[i], velocity[i])
+        )
+        step(velocity[i], rotation[i], p, commands[i], -position[i, 2], _DT, model, y, s, False)
         position[i + 1] = position[i] + rotation[i] @ y[0:3]
         rotation[i + 1] = rotation[i] @ so3_exp(y[3:6])
         kick = np.sqrt(2.0 * p[3:9] * _DT) * sigma * rng.standard_normal(6)
@@ -73,9 +76,7 @@ def sail(
     return Twin(stamps, position, rotation, velocity, p, tuple(records))
 
 
-def _command(
-    t: float, seconds: float, turn_s: float, depth: float, position: Array, rotation: Array, velocity: Array
-) -> Array:
+def _command(t: float, turn_s: float, depth: float, position: Array, rotation: Array, velocity: Array) -> Array:
     """Propeller on; a turn in the last 8 s of each leg; tilt holds the depth."""
     turning = 0.35 if t % turn_s > turn_s - 8.0 else 0.0
     pitch = np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0))
@@ -91,22 +92,20 @@ def _records(
     scale = 1.0 if noisy else 0.0
     out: list[tuple[str, Record]] = []
     empty, n = np.empty(0), len(commands)
-    tilt = scale * rng.normal(0.0, compass.tilt, 2)
-    deviation, bias = scale * rng.normal(0.0, compass.deviation), scale * rng.normal(0.0, pressure.bias)
+    tilt, bias = scale * rng.normal(0.0, compass.tilt, 2), scale * rng.normal(0.0, pressure.bias)
+    deviation = scale * compass.deviation * rng.standard_normal(5)
     gps, white = scale * rng.normal(0.0, 1.8, 2), 0.12
-    heading = 0.0
     stated = np.diag([0.0105, 0.0105, 0.035]) ** 2
     sigma = np.sqrt(np.maximum(np.diagonal(stated) * compass.white, compass.sigma_min**2))
     for i in range(n):
         stamp, r, z = twin.stamp_ns[i], twin.rotation[i], twin.position[i, 2]
-        heading += abs(twin.velocity[i, 5]) * _DT
         if i % 10 == 3:
-            keep = np.exp(-heading / compass.heading_scale - 0.1 / compass.time_constant)
-            heading = 0.0
-            deviation = keep * deviation + scale * np.sqrt(1.0 - keep**2) * rng.normal(0.0, compass.deviation)
             noise = scale * sigma * rng.standard_normal(3)
+            wave = scale * compass.wave_acceleration / 9.81 * np.exp(min(z, 0.0) / compass.wave_depth)
+            upset = wave * np.array([1.0, 1.0, np.tan(compass.dip)]) * rng.standard_normal(3)
+            upset[:2] += tilt
             wrong = (
-                matrix_from_rpy(np.array([0.0, 0.0, deviation])) @ so3_exp(noise) @ r @ so3_exp(np.array([*tilt, 0.0]))
+                matrix_from_rpy(np.array([0.0, 0.0, _deviation(r, deviation)])) @ so3_exp(noise) @ r @ so3_exp(upset)
             )
             q = quaternion_from_matrix(np.ascontiguousarray(wrong))
             absent = np.diag([-1.0, 0.0, 0.0])
@@ -130,6 +129,13 @@ def _records(
             covariance = np.diag([3.36, 3.36, 9.0])
             out.append(("gps/fix", NavSatFix(stamp, "gps", 0, g.latitude, g.longitude, 0.0, covariance, 2)))
     return out
+
+
+def _deviation(rotation: Array, coefficients: Array) -> float:
+    """Of the compass at this attitude [rad]: a mount's error, hard iron once and soft iron twice a circle."""
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    waves = np.array([1.0, np.sin(yaw), np.cos(yaw), np.sin(2.0 * yaw), np.cos(2.0 * yaw)])
+    return float(coefficients @ (np.sqrt([0.3, 0.5, 0.5, 0.2, 0.2]) * waves))
 
 
 def _actuators(stamp: int, command: Array, empty: Array) -> JointState:

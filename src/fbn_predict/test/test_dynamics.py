@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fbn_predict.dynamics import COLUMNS, model_of, step
-from fbn_predict.parameters import Dynamics, Doubt, prior
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fbn_common.lie import matrix_from_rpy, so3_exp
 from fbn_common.types import Array
+from fbn_predict.dynamics import COLUMNS, model_of, step
+from fbn_predict.parameters import Doubt, Dynamics, prior
 
 RANGER = Dynamics()
 FINNED = Dynamics(fin_torque=1.0, fin_lift=1.0, angular_actuation=(-0.5, 1.7, 1.7), quadratic_damping=(0.2, 0.5, 0.5))

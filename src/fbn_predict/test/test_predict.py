@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fbn_predict.estimator import MOTION, PARAMETERS, Predict
-from fbn_predict.parameters import PredictParameters, prior
 
 from fbn_common.estimator import Level
 from fbn_common.motion_ekf.layout import GRID_NS
 from fbn_common.records import JointState, Odometry, Pose, PredictedMotion, VehicleParameters, Verdict
 from fbn_common.types import Array
+from fbn_predict.estimator import MOTION, PARAMETERS, Predict
+from fbn_predict.parameters import PredictParameters, prior
 
 T0 = 50_000_000_000
 NONE = np.empty(0)

@@ -12,7 +12,7 @@ from fbn_common.records import Record
 def run(
     estimators: Mapping[str, Estimator], records: Iterable[tuple[int, str, Record]], step_ns: int = 200_000_000
 ) -> list[Output]:
-    """All outputs of these nodes (by name, any of the graph's) on records ``(time of arrival, topic, record)``, sorted."""
+    """All outputs of these nodes (names of the graph's) on records ``(time of arrival, topic, record)``, sorted."""
     nodes = [n for n in GRAPH.nodes if n.name in estimators]
     outputs: list[Output] = []
     feedback: list[Output] = []

@@ -201,6 +201,16 @@ def _age(p: Array, dt: float, turned: float, config: Config) -> None:
 
 
 @njit(cache=True)
+def _change(jacobian: Array, d: Array) -> Array:
+    """What our offset adds to increment, rotation vector and velocity (12,) over the whole step."""
+    change = np.zeros(12)
+    for i in range(12):
+        for j in range(24):
+            change[i] += jacobian[i, j] * d[j]
+    return change
+
+
+@njit(cache=True)
 def propagate(x: Array, p: Array, motions: Motions, k: int, a0: float, a1: float, dt: float, config: Config) -> None:
     """State and covariance through the part ``a0..a1`` of motion ``k``, in place; ``dt`` [s] of that part.
 
@@ -209,12 +219,11 @@ def propagate(x: Array, p: Array, motions: Motions, k: int, a0: float, a1: float
     d = np.empty(24)
     c, sn = _offsets(x, motions, k, a0, config.estimated, d)
     w, mean, jacobian = a1 - a0, motions.mean[k], motions.jacobian[k]
-    change = np.zeros(12)
-    for i in range(12):
-        total = 0.0
-        for j in range(24):
-            total += jacobian[i, j] * d[j]
-        change[i] = total
+    change = _change(jacobian, d)
+    if a0 > 0.0:  # our offset at the start of the step, so that parts add up to the whole
+        for i in range(6):
+            d[3 + i] -= a0 * (change[6 + i] - d[3 + i])
+        change = _change(jacobian, d)
     s, phi = w * (mean[0:3] + change[0:3]), w * (mean[3:6] + change[3:6])
     r = rotation_of(x)
     turn = so3_exp(-a0 * mean[3:6])

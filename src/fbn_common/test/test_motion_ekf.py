@@ -1,0 +1,211 @@
+"""The kernels of the motion filters: Jacobians, splitting of steps, positive definiteness, taking over covariances."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fbn_common.lie import matrix_from_rpy, so3_log
+from fbn_common.motion_ekf.adopt import adopt_covariance, gained_information
+from fbn_common.motion_ekf.layout import (
+    ESTIMATED_REFERENCE,
+    GRID_NS,
+    SIZE_REFERENCE,
+    SNAPSHOT_NS,
+    X_PARAMETERS,
+    X_SIZE,
+    X_VELOCITY,
+    Config,
+    Kind,
+)
+from fbn_common.motion_ekf.measure import (
+    COLUMNS,
+    apply_error,
+    cholesky,
+    correct,
+    innovation_covariance,
+    model,
+    project,
+    whiten,
+)
+from fbn_common.motion_ekf.monitor import Watch
+from fbn_common.motion_ekf.propagate import propagate, rotation_of, set_rotation
+from fbn_common.motion_ekf.timeline import MotionLog
+from fbn_common.motion_ekf.warm_up import standstill
+from fbn_common.records import Verdict
+from fbn_common.types import Array
+
+N = SIZE_REFERENCE
+CONFIG = Config(
+    0, ESTIMATED_REFERENCE, SNAPSHOT_NS, np.full(15, 1e-6), np.full(15, 1e3), np.full(6, 300.0), np.full(6, 0.01),
+    1.0, 1.18,
+    0.0, 2.0, 0.0, np.full((4, len(Kind)), 50.0), np.full(len(Kind), 1e18), 0.3 * np.ones((len(Kind), 3)), 0.1, 3.0,
+    1.0, True, 60.0,
+)  # fmt: skip
+floats = st.lists(st.floats(-1.0, 1.0), min_size=40, max_size=40).map(np.array)
+DATA = {
+    Kind.COMPASS: np.concatenate((matrix_from_rpy(np.array([0.1, -0.1, 0.7])).ravel(), 0.01 * np.eye(3).ravel())),
+    Kind.DEPTH: np.array([-3.0, 0.01]),
+    Kind.CLIMB: np.array([0.0, 0.01, 0.1, 0.5, 0.1]),  # tilt's effect on the altitude itself is left out, see below
+    Kind.POSITION: np.array([3.0, -2.0, 4.0, 0.5, 3.0]),
+    Kind.RANGE: np.array([30.0, 20.0, -5.0, 33.0, 0.5]),
+}
+
+
+def state(u: Array) -> Array:
+    x = np.zeros(X_SIZE)
+    x[:3] = 5.0 * u[:3]
+    set_rotation(x, matrix_from_rpy(u[3:6]))
+    x[X_VELOCITY : X_VELOCITY + 6] = u[6:12]
+    x[X_PARAMETERS:] = 0.5 + 0.2 * u[12:27]
+    return x
+
+
+def covariance(seed: int) -> Array:
+    a = np.random.default_rng(seed).standard_normal((N, 2 * N))
+    p = 0.01 * a @ a.T / N
+    return np.asarray(0.5 * (p + p.T))
+
+
+def innovation(kind: Kind, x: Array) -> tuple[Array, Array, Array]:
+    """Innovation (m,), noise (m, m), Jacobian (m, N) of a measurement."""
+    nu, noise, h, columns = np.zeros(3), np.zeros((3, 3)), np.zeros((3, COLUMNS)), np.zeros(COLUMNS, np.int64)
+    row = np.array([0, 0, 0, 0, 0, 0, 5.0, 0.0])
+    m, k = model(int(kind), x, DATA[kind], row, 1.0, CONFIG, nu, noise, columns, h)
+    full = np.zeros((m, N))
+    for c in range(k):
+        full[:, columns[c]] += h[:m, c]
+    return nu[:m].copy(), noise[:m, :m].copy(), full
+
+
+@pytest.mark.parametrize("kind", list(DATA))
+@given(floats)
+def test_measurement_jacobians_equal_numerical_derivatives(kind: Kind, u: Array) -> None:
+    x = state(u)
+    if kind is Kind.COMPASS:  # near the measured attitude, where the filter works: error 0.5 of the angle between
+        set_rotation(x, matrix_from_rpy(np.array([0.1, -0.1, 0.7]) + 1e-4 * u[3:6]))
+    _, _, h = innovation(kind, x)  # of CLIMB without the tilt of the beam: what is constant of it cancels with the base
+    step, numeric = 1e-6, np.zeros((len(h), ESTIMATED_REFERENCE))
+    for j in range(ESTIMATED_REFERENCE):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = x.copy()
+            dx = np.zeros(ESTIMATED_REFERENCE)
+            dx[j] = sign * step
+            apply_error(moved, dx)
+            ends.append(innovation(kind, moved)[0])
+        numeric[:, j] = -(ends[0] - ends[1]) / (2.0 * step)  # the innovation is the measurement less the prediction
+    tolerance = 2e-4 if kind is Kind.COMPASS else 1e-6
+    np.testing.assert_allclose(h[:, :ESTIMATED_REFERENCE], numeric, atol=tolerance)
+
+
+def motions(u: Array) -> MotionLog:
+    """One step of a made-up vehicle whose dynamics are linear."""
+    rng = np.random.default_rng(int(1e6 * abs(u[0])) + 1)
+    log = MotionLog()
+    log.put(standstill(0))
+    k = (GRID_NS // GRID_NS) % len(log.rows.stamp)
+    rows = log.rows
+    rows.mean[k] = 0.01 * rng.standard_normal(18)
+    rows.mean[k, 6:] = 0.3 * rng.standard_normal(12)
+    rows.attitude[k] = matrix_from_rpy(u[27:30]).ravel()
+    rows.parameters[k] = 0.5 + 0.2 * u[12:27]
+    jacobian = 0.01 * rng.standard_normal((12, 24))
+    jacobian[6:, 3:9] += np.eye(6)
+    rows.jacobian[k] = jacobian
+    a = 1e-3 * rng.standard_normal((12, 12))
+    rows.noise[k] = a @ a.T
+    return log
+
+
+def error(a: Array, b: Array) -> Array:
+    """``b (-) a`` (27,)."""
+    turn = so3_log(np.ascontiguousarray(rotation_of(a).T @ rotation_of(b)))
+    return np.concatenate((b[:3] - a[:3], turn, b[X_VELOCITY:] - a[X_VELOCITY:]))
+
+
+@given(floats, st.floats(1e-5, 1.0 - 1e-5))
+def test_a_step_taken_in_two_parts_is_the_whole_step(u: Array, a: float) -> None:
+    log = motions(u)
+    log.rows.mean[1, 12:18] = log.rows.mean[1, 6:12] + 0.005 * u[30:36]  # a hundredth of a second at 0.5 m/s^2
+    log.rows.mean[1, 3:6] = 0.005 * u[33:36]
+    log.rows.jacobian[1] = 0.0
+    log.rows.jacobian[1, 6:, 3:9] = 0.98 * np.eye(6)
+    log.rows.jacobian[1, :6, 3:9] = 0.01 * np.eye(6)
+    whole, parts, p, q = state(u), state(u), covariance(3), covariance(3)
+    propagate(whole, p, log.rows, 1, 0.0, 1.0, 0.01, CONFIG)
+    propagate(parts, q, log.rows, 1, 0.0, a, a * 0.01, CONFIG)
+    propagate(parts, q, log.rows, 1, a, 1.0, (1 - a) * 0.01, CONFIG)
+    # second order of the step: an offset of 1 rad/s turns the second half of 0.02 m by 0.005 rad at most
+    np.testing.assert_allclose(error(whole, parts)[:6], 0.0, atol=5e-5)
+    np.testing.assert_allclose(q, p, atol=3e-4 * np.abs(p).max())
+
+
+@given(floats, st.integers(0, 1000), st.sampled_from(list(DATA)), st.sampled_from([(0, 27), (2, 15)]))
+def test_an_update_keeps_covariance_positive_definite_and_what_is_considered_untouched(
+    u: Array, seed: int, kind: Kind, estimated: tuple[int, int]
+) -> None:
+    x, p = state(u), covariance(seed)
+    before = p.copy()
+    nu, noise, h = innovation(kind, x)
+    m, columns = len(nu), np.arange(N)
+    hp = project(p, columns, h, m, N)
+    factor = innovation_covariance(hp, columns, h, noise, m, N)
+    assert cholesky(factor)
+    white = nu[:, None].copy()
+    whiten(factor, white)
+    whiten(factor, hp)
+    correct(x, p, hp, white[:, 0].copy(), *estimated)
+    first, last = estimated
+    rest = [*range(first), *range(last, N)]
+    assert np.array_equal(p, p.T)
+    assert np.linalg.eigvalsh(p)[0] > 0.0
+    assert np.array_equal(p[np.ix_(rest, rest)], before[np.ix_(rest, rest)])
+    optimal = before - before @ h.T @ np.linalg.solve(h @ before @ h.T + noise, h @ before)
+    inside = slice(first, last)
+    np.testing.assert_allclose(p[inside, :], optimal[inside, :], atol=1e-12)
+
+
+@given(st.integers(0, 10_000))
+def test_adopted_covariances_leave_the_whole_positive_definite(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p, a = covariance(seed), rng.standard_normal((12, 12))
+    new = a @ np.diag(10.0 ** rng.uniform(-6, 2, 12)) @ a.T + 1e-9 * np.eye(12)
+    adopt_covariance(p, slice(15, 27), new)
+    np.testing.assert_allclose(p[15:27, 15:27], new, rtol=1e-12)
+    d = 1.0 / np.sqrt(np.diagonal(p))
+    assert np.linalg.eigvalsh(p * np.outer(d, d))[0] > -1e-10  # correlations; rounding of 12 decades
+
+
+def test_adopting_the_same_covariance_changes_nothing() -> None:
+    p = covariance(1)
+    before = p.copy()
+    adopt_covariance(p, slice(15, 27), before[15:27, 15:27])
+    np.testing.assert_allclose(p, before, atol=1e-14)
+
+
+@given(st.integers(0, 10_000))
+def test_information_gained_and_information_held_make_what_is_known(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    before = covariance(seed)[:4, :4]
+    h = rng.standard_normal((2, 4))
+    after = np.linalg.inv(np.linalg.inv(before) + h.T @ h)
+    np.testing.assert_allclose(
+        gained_information(before, after), h.T @ h, atol=1e-9 * np.linalg.norm(np.linalg.inv(before))
+    )
+
+
+def test_a_watch_names_what_is_wrong_with_a_stream() -> None:
+    watch = Watch(frozen_after=3, dead_after_s=1.0)
+    bounds = (0, 10_000_000_000)
+    assert watch.complaint(0) == "no data yet"
+    assert watch.objection(1, b"a", bounds) is None
+    assert watch.objection(1, b"a", bounds) == (Verdict.REFUSED, "duplicate")
+    assert watch.objection(-1, b"a", bounds)[0] is Verdict.LATE  # type: ignore[index]
+    assert "ahead of the clock" in watch.objection(20_000_000_000, b"a", bounds)[1]  # type: ignore[index]
+    assert [watch.objection(s, b"a", bounds) is None for s in (2, 3, 4)] == [True, True, False]
+    assert watch.complaint(4) == "frozen: 4 equal values in a row"
+    assert watch.objection(5, b"b", bounds) is None
+    assert watch.complaint(3_000_000_005) == "no data for 3.0 s"
