@@ -50,11 +50,13 @@ class PacedPlayer(Player):
 
     def _unmatched(self) -> list[str]:
         """Topics that somebody does not hear yet."""
-        missing = [t for t in self.outputs if not self.station.publishers(t)]
+        missing = [t for t in self.outputs if not self.station.sources(t)]
         for topic in self.inputs:
             takers = sum(topic in (*n.inputs, *n.feedback) for n in self.graph.nodes)
             if self.station.takers(topic) < takers:
                 missing.append(topic)
+        if self.station.clock_takers() < len(self.graph.nodes):
+            missing.append("/clock")
         return missing
 
     def _not_there(self) -> ReplayError:

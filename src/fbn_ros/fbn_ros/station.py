@@ -13,6 +13,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 
@@ -48,6 +49,7 @@ class Station:
         self._executor = make_executor(node.context)
         self._executor.add_node(node)
         self._publishers: dict[str, Publisher[Any]] = {}
+        self._subscriptions: dict[str, Subscription[Any]] = {}
         self._clock = node.create_publisher(Clock, "/clock", 10)
         self._woken: Future[None] = Future()
 
@@ -59,7 +61,8 @@ class Station:
     def listen(self, topic: Topic, heard: Callable[[bytes], None]) -> None:
         """Have a function called with the bytes of every message of a topic."""
         qos = profile(topic, lock_step=self._lock_step)
-        self._node.create_subscription(self._message(topic), topic.name, heard, qos, raw=True)
+        made = self._node.create_subscription(self._message(topic), topic.name, heard, qos, raw=True)
+        self._subscriptions[topic.name] = made
 
     def listen_to_diagnostics(self, heard: Callable[[Report], None]) -> None:
         """Have a function called with every report of a node."""
@@ -84,9 +87,13 @@ class Station:
         """How many subscribers get what is said on a topic that was offered."""
         return int(self._publishers[topic].get_subscription_count())
 
-    def publishers(self, topic: str) -> int:
-        """How many publishers of a topic there are."""
-        return int(self._node.count_publishers(topic))
+    def clock_takers(self) -> int:
+        """How many nodes follow the clock."""
+        return int(self._clock.get_subscription_count())
+
+    def sources(self, topic: str) -> int:
+        """How many publishers of a topic are heard."""
+        return int(self._subscriptions[topic].get_publisher_count())
 
     def spin(self, timeout_s: float) -> None:
         """Serve callbacks until :meth:`wake`, at most so long."""
