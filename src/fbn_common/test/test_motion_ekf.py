@@ -40,9 +40,8 @@ from fbn_common.types import Array
 N = SIZE_REFERENCE
 CONFIG = Config(
     0, ESTIMATED_REFERENCE, SNAPSHOT_NS, np.full(15, 1e-6), np.full(15, 1e3), np.full(6, 300.0), np.full(6, 0.01),
-    1.0, 1.18,
-    0.0, 2.0, 0.0, np.full((4, len(Kind)), 50.0), np.full(len(Kind), 1e18), 0.3 * np.ones((len(Kind), 3)), 0.1, 3.0,
-    1.0, True, 60.0,
+    1.0, 1.18, 0.0, 2.0, 0.0, np.full((4, len(Kind)), 50.0), np.full(len(Kind), 1e18), 0.3 * np.ones((len(Kind), 3)),
+    0.1, 3.0, 1.0, True, 60.0,
 )  # fmt: skip
 floats = st.lists(st.floats(-1.0, 1.0), min_size=40, max_size=40).map(np.array)
 DATA = {
