@@ -113,6 +113,23 @@ def test_diagnostics_tell_health_counts_rates_and_what_is_missing(domain: int) -
         assert "nothing on imu/data (attitude by prediction alone" in status.message
 
 
+def test_a_publisher_that_is_gone_is_named_with_what_is_done_without_it(domain: int) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    with NodeHarness(FAKE_GRAPH.node("deadreck"), domain, graph=FAKE_GRAPH) as harness:
+        harness.listen("/diagnostics", DiagnosticArray)
+        harness.withdraw("predict/motion")
+
+        def named() -> bool:
+            status = [array.status[0] for array in harness.messages["/diagnostics"]]
+            return any("nothing on predict/motion (the filters stand still)" in s.message for s in status[-1:])
+
+        harness.spin_until(named)
+        status = harness.messages["/diagnostics"][-1].status[0]
+        assert {v.key: v.value for v in status.values}["gone"] == "predict/motion"
+        assert status.level == bytes([1])
+
+
 def test_parameters_are_declared_with_unit_and_origin(domain: int) -> None:
     with NodeHarness(FAKE_GRAPH.node("global"), domain, {"gain": 0.5}, graph=FAKE_GRAPH) as harness:
         assert harness.node.get_parameter("gain").value == 0.5

@@ -107,6 +107,10 @@ class NodeHarness:
         self._publishers[topic].publish(data)
         self._played[topic] = self._played.get(topic, 0) + 1
 
+    def withdraw(self, topic: str) -> None:
+        """Stop being a publisher of one of the node's inputs."""
+        self.tester.destroy_publisher(self._publishers.pop(topic))
+
     def step(self, end_ns: int) -> None:
         """In lock step: everything of the next step has been published; returns when the node has taken it."""
         self._step += 1

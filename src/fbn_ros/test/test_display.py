@@ -1,0 +1,63 @@
+"""Markers and transforms say where things are."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from visualization_msgs.msg import Marker
+
+from fbn_common import records as r
+from fbn_common.lie import matrix_from_quaternion, matrix_from_rpy, quaternion_from_matrix
+from fbn_ros.markers import markers_of
+from fbn_ros.tf import map_odom, odom_base, tf_message
+from fbn_testing.examples import example
+
+RNG = np.random.default_rng(3)
+
+
+def odometry(frame: str, position: list[float], yaw: float) -> r.Odometry:
+    q = quaternion_from_matrix(matrix_from_rpy(np.array([0.0, 0.0, yaw])))
+    return r.Odometry(7, frame, "base_link", r.Pose(np.array(position), q), np.zeros(6), np.eye(6), np.eye(6))
+
+
+def test_map_to_odom_carries_the_dead_reckoned_pose_onto_the_map() -> None:
+    on_map, reckoned = odometry("map", [10.0, 20.0, -3.0], 1.0), odometry("odom", [1.0, 2.0, -3.0], 0.25)
+    found = map_odom(on_map, reckoned)
+    carried = found.pose.position + matrix_from_quaternion(found.pose.orientation) @ reckoned.pose.position
+    assert carried == pytest.approx(on_map.pose.position)
+    assert (found.parent, found.child, found.stamp_ns) == ("map", "odom", 7)
+
+
+def test_a_transform_becomes_a_message_of_tf() -> None:
+    tf2 = SimpleNamespace(TFMessage=lambda transforms: transforms)
+    (stamped,) = tf_message(tf2, odom_base(odometry("odom", [1.0, 2.0, 3.0], 0.0)))
+    assert (stamped.header.frame_id, stamped.child_frame_id) == ("odom", "base_link")
+    assert (stamped.transform.translation.y, stamped.transform.rotation.w) == (2.0, 1.0)
+
+
+def test_features_are_drawn_at_their_places_after_the_old_ones_are_removed() -> None:
+    record = example(r.TrackedFeatures, RNG, 3)
+    first, *others = markers_of(record).markers
+    assert first.action == Marker.DELETEALL
+    spheres = [m for m in others if m.type == Marker.SPHERE]
+    assert [m.pose.position.x for m in spheres] == [f.position[0] for f in record.features]
+    assert len({(m.ns, m.id) for m in others}) == len(others)
+
+
+def test_an_ellipsoid_spans_two_standard_deviations_each_way() -> None:
+    feature = example(r.TrackedFeature, RNG)
+    feature = r.TrackedFeature(1, r.Stage.FEATURE, 3, 0, 0, feature.position, np.diag([4.0, 1.0, 0.25]))
+    sphere = markers_of(r.TrackedFeatures(0, "odom", 3, (feature,))).markers[1]
+    assert sorted((sphere.scale.x, sphere.scale.y, sphere.scale.z)) == pytest.approx([2.0, 4.0, 8.0])
+
+
+@pytest.mark.parametrize("kind", [r.FeatureMap, r.MatchHypotheses])
+def test_the_map_and_the_hypotheses_are_drawn_with_labels(kind: type[r.Record]) -> None:
+    markers = markers_of(example(kind, RNG, 2)).markers
+    assert sum(m.type == Marker.TEXT_VIEW_FACING for m in markers[1:]) == 2
+
+
+def test_other_records_are_not_drawn() -> None:
+    assert markers_of(example(r.Odometry, RNG)) is None
