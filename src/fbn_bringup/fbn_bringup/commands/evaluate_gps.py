@@ -95,10 +95,11 @@ def _table(rows: list[tuple[str, Withheld, Withheld]]) -> Table:
     )
     table = ui.table("error of position at the end of the part without GPS", *names)
     for name, still, w in rows:
+        consistency = [ui.number(float(x.nees.mean()), 1) for x in (still, w)]
         table.add_row(
             name, f"{w.seconds:.0f} s", f"{w.distance:.0f} m",
-            f"{still.final:.1f} m", f"{still.final_percent:.1f} %", ui.number(float(still.nees.mean()), 1),
-            f"{w.final:.1f} m", f"{w.final_percent:.1f} %", f"{w.mean_percent:.1f} %", ui.number(float(w.nees.mean()), 1),
+            f"{still.final:.1f} m", f"{still.final_percent:.1f} %", consistency[0],
+            f"{w.final:.1f} m", f"{w.final_percent:.1f} %", f"{w.mean_percent:.1f} %", consistency[1],
             f"{w.water[0]:+.2f}, {w.water[1]:+.2f} m/s",
         )  # fmt: skip
     if len(rows) > 1:
