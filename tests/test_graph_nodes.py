@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -113,21 +115,26 @@ def test_diagnostics_tell_health_counts_rates_and_what_is_missing(domain: int) -
         assert "nothing on imu/data (attitude by prediction alone" in status.message
 
 
-def test_a_publisher_that_is_gone_is_named_with_what_is_done_without_it(domain: int) -> None:
+def test_a_node_that_was_killed_is_named_by_those_who_need_it_and_so_is_its_return(domain: int) -> None:
     from diagnostic_msgs.msg import DiagnosticArray
 
-    with NodeHarness(FAKE_GRAPH.node("deadreck"), domain, graph=FAKE_GRAPH) as harness:
+    upstream = [sys.executable, "-m", "fbn_testing.node", "--ros-args", "-r", "__node:=fbn_predict"]
+    mine = ("predict/motion", "predict/parameters")
+    with NodeHarness(FAKE_GRAPH.node("deadreck"), domain, graph=FAKE_GRAPH, not_mine=mine) as harness:
         harness.listen("/diagnostics", DiagnosticArray)
-        harness.withdraw("predict/motion")
 
-        def named() -> bool:
-            status = [array.status[0] for array in harness.messages["/diagnostics"]]
-            return any("nothing on predict/motion (the filters stand still)" in s.message for s in status[-1:])
+        def told() -> list[tuple[str, str]]:
+            own = [a.status[0] for a in harness.messages["/diagnostics"] if a.status[0].hardware_id == "fbn_deadreck"]
+            return [(s.message, v.value) for s in own for v in s.values if v.key == "gone"]
 
-        harness.spin_until(named)
-        status = harness.messages["/diagnostics"][-1].status[0]
-        assert {v.key: v.value for v in status.values}["gone"] == "predict/motion"
-        assert status.level == bytes([1])
+        for _ in range(2):
+            with subprocess.Popen(upstream, stderr=subprocess.DEVNULL) as predict:
+                harness.spin_until(lambda: harness.node.statistics.received["predict/motion"] > 0, 20.0)
+                harness.spin_until(lambda: told()[-1:] != [] and told()[-1][1] == "")
+                harness.node.statistics.received.clear()
+                predict.kill()
+            harness.spin_until(lambda: told()[-1][1] == "predict/motion predict/parameters")
+            assert "nothing on predict/motion (the filters stand still)" in told()[-1][0]
 
 
 def test_parameters_are_declared_with_unit_and_origin(domain: int) -> None:

@@ -44,8 +44,10 @@ def test_the_tail_of_a_log_run_again_gives_the_same(
 ) -> None:
     """Outputs of the nodes that are left out come from the log, at the same steps."""
     tail = dataclasses.replace(river_options, only=("fbn_tracking", "fbn_global"))
-    replay_offline(river_run / "bag", tmp_path / "run", tail)
-    assert first_difference(_known(river_run), _known(tmp_path / "run")) == ""
+    replay_offline(river_run / "bag", tmp_path / "offline", tail)
+    replay_nodes(river_run / "bag", tmp_path / "dds", tail)
+    for again in ("offline", "dds"):
+        assert first_difference(_known(river_run), _known(tmp_path / again)) == ""
 
 
 def _known(run: Path) -> list[tuple[int, str, object]]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
-from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node as RosNode
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -83,7 +83,10 @@ class EstimatorNode(RosNode):
         message: Any = self._factory.message(topic.ros_type)
         ours = self.graph.publisher(name) is not None
         qos: QoSProfile = profile(topic, lock_step=self.lock_step, lease=ours)
-        events = SubscriptionEventCallbacks(liveliness=lambda info: self._liveliness(name, info)) if ours else None
+        events = SubscriptionEventCallbacks(
+            liveliness=lambda info: self._presence(name, info.alive_count, info.alive_count_change),
+            matched=lambda info: self._presence(name, info.current_count, info.current_count_change),
+        )
         take = self._gate.add if self.lock_step else self._take_in
 
         def receive(data: bytes) -> None:
@@ -91,7 +94,7 @@ class EstimatorNode(RosNode):
             if self.lock_step:
                 self._advance_steps()
 
-        return self.create_subscription(message, name, receive, qos, raw=True, event_callbacks=events)
+        return self.create_subscription(message, name, receive, qos, raw=True, event_callbacks=events if ours else None)
 
     def _to_record(self, topic: Topic, data: bytes) -> Record | ConversionError:
         try:
@@ -166,13 +169,14 @@ class EstimatorNode(RosNode):
         pace = "in lock step with a replay" if self.lock_step else f"every {1e3 * node.period_s:.0f} ms"
         log.info(f"ready: takes {takes}; gives {', '.join(node.outputs)}; advances {pace}")
 
-    def _liveliness(self, topic: str, info: QoSLivelinessChangedInfo) -> None:
+    def _presence(self, topic: str, count: int, change: int) -> None:
+        """A publisher of another node has come, or left in order, or given no sign of life for too long."""
         publisher = self.graph.publisher(topic)
         name = publisher.name if publisher else topic
-        if info.alive_count == 0 and info.alive_count_change < 0:
+        if count == 0 and change < 0:
             self._gone.add(topic)
             self.get_logger().warning(f"{name} is gone: nothing on {topic}")
-        elif info.alive_count and topic in self._gone:
+        elif count and topic in self._gone:
             self._gone.discard(topic)
             self.get_logger().info(f"{name} is back on {topic}")
 

@@ -50,17 +50,18 @@ def private_domain() -> Iterator[int]:
 class NodeHarness:
     """Publishes to a node, collects what it says, and spins both until something is so; never sleeps.
 
-    With ``lock_step`` the harness is the node's player: see :meth:`step`.
+    With ``lock_step`` the harness is the node's player: see :meth:`step`.  Topics ``not_mine`` are left to others.
     """
 
     def __init__(
         self, node: Node, domain: int, parameters: Mapping[str, Any] | None = None, *,
         graph: Graph = GRAPH, lock_step: bool = False,
+        not_mine: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
         self.declared, self.graph, self.lock_step = node, graph, lock_step
         self.received: dict[str, list[Record]] = defaultdict(list)
         self.messages: dict[str, list[Any]] = defaultdict(list)
-        self._domain = domain
+        self._domain, self._not_mine = domain, not_mine
         self._parameters = dict(parameters or {}) | {"lock_step": lock_step}
         self._conversion = Conversion(RclpyMessages())
         self._publishers: dict[str, Publisher[Any]] = {}
@@ -74,7 +75,7 @@ class NodeHarness:
         self.node = EstimatorNode(self.declared, self.graph, self.context, parameter_overrides=overrides)
         self.tester = RosNode("tester", context=self.context)
         self.executor = make_executor(self.context)
-        for topic in (*self.declared.inputs, *self.declared.feedback):
+        for topic in (t for t in (*self.declared.inputs, *self.declared.feedback) if t not in self._not_mine):
             self._publishers[topic] = self._publisher(topic)
         for topic in self.declared.outputs:
             self._collect(topic)
@@ -106,10 +107,6 @@ class NodeHarness:
         """Publish bytes, whatever they are."""
         self._publishers[topic].publish(data)
         self._played[topic] = self._played.get(topic, 0) + 1
-
-    def withdraw(self, topic: str) -> None:
-        """Stop being a publisher of one of the node's inputs."""
-        self.tester.destroy_publisher(self._publishers.pop(topic))
 
     def step(self, end_ns: int) -> None:
         """In lock step: everything of the next step has been published; returns when the node has taken it."""
