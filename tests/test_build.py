@@ -32,7 +32,7 @@ CONTRACT = {
     "VehicleParameters": "header mean covariance",
     "PingMotion": "header previous increment increment_covariance pose earth earth_information earth_covariance"
     " velocity altitude altitude_variance drift_covariance drift_time_constant",
-    "ReferenceFix": "header xy covariance",
+    "ReferenceFix": "header xy covariance marginal",
     "Datum": "header latitude longitude height",
     "Innovation": "header sensor innovation sigma nis dof verdict reason",
     "TrackedFeature": "key stage detections position covariance first_seen last_seen",

@@ -229,12 +229,17 @@ class PingMotion(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceFix(Record):
-    """The xy information gained since the last fix, as an equivalent measurement of position in ``map``."""
+    """The xy information gained since the last fix, as an equivalent measurement of position in ``map``.
+
+    ``marginal`` is all the publisher's doubt of its position, errors that last from fix to fix included: whoever
+    is surer than that gains nothing by the fix.
+    """
 
     ros_type: ClassVar[str] = "fbn_msgs/msg/ReferenceFix"
     frame_id: str
     xy: Vec2 = shaped(2)  # m
-    covariance: Mat2 = shaped(2, 2)  # m^2
+    covariance: Mat2 = shaped(2, 2)  # m^2, of the information gained alone
+    marginal: Mat2 = shaped(2, 2)  # m^2, never to be fused
 
 
 class Verdict(IntEnum):

@@ -14,7 +14,9 @@ def refusal(record: Record) -> str:
         return _odometry(record)
     if isinstance(record, ReferenceFix):
         return (
-            "" if np.isfinite(record.xy).all() and _definite(record.covariance) else "not a finite fix with covariance"
+            ""
+            if np.isfinite(record.xy).all() and _definite(record.covariance) and _definite(record.marginal)
+            else "not a finite fix with covariance"
         )
     if isinstance(record, Datum):
         good = abs(record.latitude) <= 90.0 and abs(record.longitude) <= 180.0 and bool(np.isfinite(record.height))

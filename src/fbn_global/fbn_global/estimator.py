@@ -205,7 +205,7 @@ class Global:
     def _apply_fix(self, fix: ReferenceFix, reckoned: Reckoned, bank: Bank) -> None:
         begin, tie = self._reckoning.tie(reckoned)
         leading = self._leading().id
-        done = bank.take_fix(lambda state: apply_fix(state, begin, tie, fix.xy, fix.covariance))[leading]
+        done = bank.take_fix(lambda state: apply_fix(state, begin, tie, fix.xy, fix.covariance, fix.marginal))[leading]
         answer = Answer.USED if done.used else Answer.REFUSED
         reason = "" if done.used else "no better than what is known: fixes share their errors"
         self._out.innovation(fix.stamp_ns, "reference_fix", answer, reason, done.innovation, done.sigma, done.nis, 2)

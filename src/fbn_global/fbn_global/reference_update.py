@@ -1,7 +1,7 @@
 """A reference fix against the state: tied to the state's pose by dead reckoning, used where it is the better one.
 
-GPS errs slowly: consecutive fixes share their error.  So a fix counts only in directions in which its covariance is
-smaller than the filter's own at that time; under any number of fixes the filter stays about as uncertain as one.
+GPS errs slowly: consecutive fixes share their error.  So a fix counts only in directions in which the reference filter
+is surer of its position than the state is at that time; under any number of fixes the state stays about as uncertain.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ class Fixed(NamedTuple):
     nis: float
 
 
-def apply_fix(state: State, start: Reckoned, tie: Link, xy: Vec2, covariance: Mat2) -> Fixed:
-    """The state after a fix at the link's end, used only in the directions in which it is better than the state."""
+def apply_fix(state: State, start: Reckoned, tie: Link, xy: Vec2, covariance: Mat2, marginal: Mat2) -> Fixed:
+    """The state after a fix at the link's end, used only in the directions in which its marginal is the smaller."""
     predicted, jacobian = xy_jacobian(state, start, tie)
     innovation, columns = xy - predicted, np.arange(HEAD)
     own = jacobian @ state.covariance[:HEAD, :HEAD] @ jacobian.T + tie.growth
     noise = covariance + tie.growth
     log_likelihood, nis = likelihood(state, columns, jacobian, innovation, noise)
     sigma = np.sqrt(np.diag(own + covariance))
-    better = better_directions(covariance, own)
+    better = better_directions(marginal, own)
     if len(better):
         h = better @ jacobian
         state = condition(state, columns, h, better @ innovation, better @ noise @ better.T).state

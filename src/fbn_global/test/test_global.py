@@ -193,7 +193,7 @@ def test_a_broken_fix_is_refused_and_counted(bad: str) -> None:
         "asymmetric": np.array([[1.0, 0.9], [0.0, 1.0]]),
     }[bad]
     estimator = Global(GlobalParameters())
-    estimator.put("reference/fix", ReferenceFix(NS, "map", np.zeros(2), covariance))
+    estimator.put("reference/fix", ReferenceFix(NS, "map", np.zeros(2), covariance, np.eye(2)))
     answers = of(estimator.advance(2 * NS), Innovation)
     assert [a.verdict for a in answers] == [Verdict.REFUSED]
     assert estimator.health().values["count reference/fix refused"] == 1
@@ -201,7 +201,7 @@ def test_a_broken_fix_is_refused_and_counted(bad: str) -> None:
 
 def test_a_fix_waits_for_the_odometry_of_its_time_and_is_refused_without() -> None:
     estimator = Global(GlobalParameters())
-    estimator.put("reference/fix", ReferenceFix(NS, "map", np.zeros(2), np.eye(2)))
+    estimator.put("reference/fix", ReferenceFix(NS, "map", np.zeros(2), np.eye(2), np.eye(2)))
     assert not of(estimator.advance(2 * NS), Innovation)
     assert "no odometry" in of(estimator.advance(10 * NS), Innovation)[0].reason
 

@@ -127,7 +127,9 @@ def test_a_fix_leaves_alone_the_axis_on_which_it_is_the_worse() -> None:
     spread = np.diag([1.0, 100.0, 1, 1, 1, 1])
     here = Reckoned(0, np.zeros(6), np.zeros(2), np.zeros(4))
     tie = link(here, here, np.eye(3), 600.0, 0.0)
-    done = apply_fix(start(np.zeros(6), spread, np.eye(3)), here, tie, np.array([3.0, 3.0]), 4.0 * np.eye(2))
+    done = apply_fix(
+        start(np.zeros(6), spread, np.eye(3)), here, tie, np.array([3.0, 3.0]), 4.0 * np.eye(2), 4.0 * np.eye(2)
+    )
     np.testing.assert_allclose(done.state.covariance[0, 0], 1.0)
     np.testing.assert_allclose(done.state.covariance[1, 1], 400.0 / 104.0)
     np.testing.assert_allclose(done.state.mean[:2], [0.0, 300.0 / 104.0], atol=1e-12)

@@ -191,4 +191,4 @@ class Reference(MotionFilter):
         if gain is None or not gain.worth(self.own.fix_gain) or not self._position_known():
             return []
         xy, covariance = gain.collect()
-        return [Output("reference/fix", ReferenceFix(self._fix_ns, "map", xy, covariance))]
+        return [Output("reference/fix", ReferenceFix(self._fix_ns, "map", xy, covariance, gain.covariance.copy()))]

@@ -190,7 +190,8 @@ class World:
             self._odometry(start + (end - start) * k // n, a + (b - a) * k / n, pose)
 
     def _fix(self, stamp: int, xy: Array) -> None:
-        self._emit("reference/fix", ReferenceFix(stamp, "map", xy + self.fix_error, self.s.fix_sigma**2 * np.eye(2)))
+        covariance = self.s.fix_sigma**2 * np.eye(2)
+        self._emit("reference/fix", ReferenceFix(stamp, "map", xy + self.fix_error, covariance, covariance))
 
     def _scan(
         self, w: int, track: Array, heading: Array

@@ -134,7 +134,7 @@ class FakeReference(Digest):
 
     def publish(self, now_ns: int, due: list[r.Record]) -> list[Output]:
         parameters = r.VehicleParameters(now_ns, "", np.full(15, self.value), np.eye(15))
-        fix = r.ReferenceFix(now_ns, "map", np.full(2, self.value), np.eye(2))
+        fix = r.ReferenceFix(now_ns, "map", np.full(2, self.value), np.eye(2), np.eye(2))
         return [Output("reference/parameters", parameters), Output("reference/fix", fix)]
 
 
