@@ -11,9 +11,9 @@ from fbn_bringup.offline import Step, stamped, steps
 from fbn_bringup.player import START_S, Player
 from fbn_bringup.rundir import Meter, ReplayError
 from fbn_common.graph import Graph
-from fbn_common.records import NodeProgress
 from fbn_ros.bag import BagReader, BagWriter
-from fbn_ros.lockstep import FIRST_STEP, PLAYER, PROGRESS, REPORT, Due, StepGate, progress
+from fbn_ros.lockstep import Due, StepGate
+from fbn_ros.progress import FIRST_STEP, PLAYER, PROGRESS, REPORT, from_bytes, progress, to_bytes
 from fbn_ros.station import Station
 
 WINDOW = 4  # steps that a node may be behind: enough to keep two cores busy
@@ -59,7 +59,7 @@ class LockStepPlayer(Player):
         """The nodes' health at the very end, for the summary."""
         self.health.clear()
         told = progress(PLAYER, REPORT, self.reader.end_ns, (), {})
-        self.station.say(PROGRESS.name, told)
+        self.station.say(PROGRESS.name, to_bytes(told))
         names = {node.name for node in self.graph.nodes}
         self.spin_until(lambda: names <= self.health.keys(), STEP_LIMIT_S, self._silent)
 
@@ -74,14 +74,9 @@ class LockStepPlayer(Player):
                 self.say(topic, data)
         self.station.tell_time(content.end_ns)
         self._steps.append(content)
-        told = progress(PLAYER, step, content.end_ns, self._spoken_for, self.played)
+        told = progress(PLAYER, step, content.end_ns, self.graph.external_inputs(), self.played)
         self._gate.promise(told)
-        self.station.say(PROGRESS.name, told)
-
-    @property
-    def _spoken_for(self) -> list[str]:
-        """All topics that no node of this replay publishes: what is not played is counted as zero."""
-        return [t for t in self.graph.topics if t not in set(self.outputs)]
+        self.station.say(PROGRESS.name, to_bytes(told))
 
     def _wait_for(self, step: int) -> None:
         while self._written < step:
@@ -107,7 +102,7 @@ class LockStepPlayer(Player):
         self._write_due()
 
     def _on_progress(self, data: bytes) -> None:
-        told = self.station.cdr.decode(PROGRESS.name, NodeProgress, data)
+        told = from_bytes(data)
         if told.node != PLAYER:
             self._gate.promise(told)
             self._write_due()

@@ -12,13 +12,15 @@ from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from fbn_common.graph import Qos, Topic
-from fbn_common.records import NodeProgress, TopicCount
+from fbn_common.records import NodeProgress
+from fbn_ros.progress import FIRST_STEP, PLAYER
 
-PROGRESS = Topic("replay/progress", NodeProgress, Qos.FLOW, 1000, "who has taken in which step of a replay")
-PLAYER = "player"
-FIRST_STEP = 1
-REPORT = 0  # in place of a step, from the player: nothing comes any more, tell your health a last time
+
+class Promise(NamedTuple):
+    """What a publisher has sent up to a step."""
+
+    stamp_ns: int
+    counts: dict[str, int]
 
 
 class Due(NamedTuple):
@@ -50,7 +52,8 @@ class StepGate:
         self._publishers = publishers
         self._queues: dict[str, deque[Any]] = {t: deque() for t in self._lag}
         self._taken: Counter[str] = Counter()
-        self._promises: dict[str, dict[int, NodeProgress]] = {}
+        self._heeded = {PLAYER, *(publishers[t] for t in self._lag if t in publishers)}
+        self._promises: dict[str, dict[int, Promise]] = {name: {} for name in self._heeded}
         self._played: frozenset[str] = frozenset()
         self._short = 0  # messages that the topic looked at last still lacks
         self._short_topic = ""
@@ -62,17 +65,20 @@ class StepGate:
             self._short -= 1
 
     def promise(self, progress: NodeProgress) -> None:
-        """A publisher has told how many it has sent."""
-        self._promises.setdefault(progress.node, {})[progress.step] = progress
+        """A publisher has told how many it has sent; who publishes nothing for us is not heeded."""
+        if progress.node not in self._heeded:
+            return
+        counts = {c.topic: c.count for c in progress.published}
+        self._promises[progress.node][progress.step] = Promise(progress.stamp_ns, counts)
         self._short = 0
         if progress.node == PLAYER:
-            self._played = frozenset(c.topic for c in progress.published)
+            self._played = frozenset(counts)
 
     def due(self) -> Due | None:
         """The next step's messages, if all are there; the step counts as taken."""
         if self._short > 0:  # nothing has changed that could matter
             return None
-        player = self._promises.get(PLAYER, {}).get(self.step)
+        player = self._promises[PLAYER].get(self.step)
         lacking = next(iter(self.missing()), None)
         if player is None or lacking is not None:
             self._wait_for(lacking)
@@ -105,19 +111,11 @@ class StepGate:
         step = self.step - self._lag[topic]
         if step < FIRST_STEP:
             return 0
-        progress = self._promises.get(self._source(topic), {}).get(step)
-        if progress is None:
-            return None
-        return next((c.count for c in progress.published if c.topic == topic), 0)
+        promise = self._promises[self._source(topic)].get(step)
+        return None if promise is None else promise.counts.get(topic, 0)
 
     def _take(self, topic: str) -> list[Any]:
         count = (self._expected(topic) or 0) - self._taken[topic]
         self._taken[topic] += count
         queue = self._queues[topic]
         return [queue.popleft() for _ in range(count)]
-
-
-def progress(node: str, step: int, stamp_ns: int, topics: Iterable[str], published: Mapping[str, int]) -> NodeProgress:
-    """What a node tells after a step: every topic it speaks for, with what it has sent so far."""
-    counts = tuple(TopicCount(topic, published.get(topic, 0)) for topic in topics)
-    return NodeProgress(stamp_ns, "", node, step, counts)

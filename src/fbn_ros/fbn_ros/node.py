@@ -22,21 +22,22 @@ from rclpy.subscription import Subscription
 from fbn_common.estimator import Health, Level
 from fbn_common.graph import GRAPH, Graph, Node, Topic
 from fbn_common.parameters import flatten
-from fbn_common.records import NodeProgress, Record
+from fbn_common.records import Record
 from fbn_ros import extras
 from fbn_ros.cdr import Cdr
 from fbn_ros.conversion import ConversionError
 from fbn_ros.diagnostics import diagnostic_array
 from fbn_ros.host import Host, resolve
-from fbn_ros.lockstep import PROGRESS, REPORT, Due, StepGate, progress
+from fbn_ros.lockstep import Due, StepGate
 from fbn_ros.messages import RclpySerialiser
+from fbn_ros.progress import PROGRESS, REPORT, from_bytes, progress, to_bytes
 from fbn_ros.qos import profile
 from fbn_ros.ros_parameters import read_parameters
 from fbn_ros.spin import run_node
 from fbn_ros.statistics import Statistics
 
 SILENT_S = 3.0  # s without a message on a topic after which diagnostics say so
-DIAGNOSTIC_STEPS = 5  # in lock step, one report a second of the log
+DIAGNOSTIC_STEPS = 10  # in lock step, a report every two seconds of the log
 
 
 class EstimatorNode(RosNode):
@@ -137,7 +138,7 @@ class EstimatorNode(RosNode):
         self.create_subscription(message, PROGRESS.name, self._on_progress, qos, raw=True)
 
     def _on_progress(self, data: bytes) -> None:
-        told = self._cdr.decode(PROGRESS.name, NodeProgress, data)
+        told = from_bytes(data)
         if told.step == REPORT:
             self._report(told.stamp_ns)
         else:
@@ -156,7 +157,7 @@ class EstimatorNode(RosNode):
                 self.host.put(topic, entry)
         self._advance(due.stamp_ns)
         told = progress(self.declared.name, due.step, due.stamp_ns, self.declared.outputs, self.host.published)
-        self._progress.publish(self._cdr.outgoing(told))
+        self._progress.publish(to_bytes(told))
         if due.step % DIAGNOSTIC_STEPS == 0:
             self._report(due.stamp_ns)
 

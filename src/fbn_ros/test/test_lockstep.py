@@ -5,8 +5,15 @@ from __future__ import annotations
 import random
 from typing import Any
 
+import numpy as np
+import pytest
+
 from fbn_common.records import NodeProgress
-from fbn_ros.lockstep import PLAYER, Missing, StepGate, progress
+from fbn_ros.cdr import Cdr
+from fbn_ros.lockstep import Missing, StepGate
+from fbn_ros.progress import PLAYER, from_bytes, progress, to_bytes
+from fbn_testing.compare import difference
+from fbn_testing.examples import example
 
 PUBLISHERS = {"up": "upstream", "back": "downstream"}
 
@@ -99,3 +106,17 @@ def test_the_order_of_arrival_changes_nothing() -> None:
 
     assert len(run(0)) == 29
     assert all(run(seed) == run(0) for seed in range(1, 20))
+
+
+def test_progress_is_written_and_read_as_any_message() -> None:
+    cdr, rng = Cdr(), np.random.default_rng(2)
+    for items in range(8):
+        record = example(NodeProgress, rng, items)
+        assert to_bytes(record) == cdr.encode(record)
+        assert difference(from_bytes(cdr.encode(record)), record) == ""
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + 40 * b"\xff"])
+def test_bytes_that_are_no_progress_are_refused(data: bytes) -> None:
+    with pytest.raises(ValueError):
+        from_bytes(data)

@@ -21,9 +21,9 @@ from rclpy.task import Future
 from fbn_common.graph import GRAPH, Graph, Node
 from fbn_common.records import NodeProgress, Record
 from fbn_ros.conversion import Conversion
-from fbn_ros.lockstep import FIRST_STEP, PLAYER, PROGRESS, progress
 from fbn_ros.messages import RclpyMessages
 from fbn_ros.node import EstimatorNode
+from fbn_ros.progress import FIRST_STEP, PLAYER, PROGRESS, progress
 from fbn_ros.qos import profile
 from fbn_ros.spin import make_executor, spin
 
