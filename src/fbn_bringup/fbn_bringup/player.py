@@ -12,7 +12,7 @@ from fbn_common.types import NS
 from fbn_ros.bag import KNOWN_TOPICS, BagReader, BagWriter
 from fbn_ros.station import DIAGNOSTICS_TYPE, Report, Station
 
-START_S = 120.0  # s for the nodes to come up; a first start compiles their kernels
+START_S = 600.0  # s for the nodes to come up, all alive; a first start compiles their kernels on however few cores
 
 
 class Player:
