@@ -110,6 +110,9 @@ class Conversion:
         stamped = issubclass(record_type, Record)
         hints = typing.get_type_hints(record_type)
         plain = [f for f in dataclasses.fields(record_type) if not (stamped and f.name in ("stamp_ns", "frame_id"))]
+        lacking = {f.name.removesuffix("_ns") for f in plain} - set(self.factory.field_types(ros_type))
+        if lacking:
+            raise TypeError(f"{ros_type} as built lacks {', '.join(sorted(lacking))}: build fbn_msgs anew (make setup)")
         steps = [(f.name, f.name.removesuffix("_ns"), self._codec(ros_type, f, hints[f.name])) for f in plain]
         message_type = self.factory.message(ros_type)
         framed = "frame_id" in hints

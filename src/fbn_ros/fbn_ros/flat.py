@@ -171,7 +171,8 @@ def flat(kind: type[Any], field_types: FieldTypes) -> Flat | None:
             shapes.append((name, fields[name].metadata.get("shape", ())))
         else:
             return None
-    return Flat(kind, lead, _laid_out(shapes)) if shapes else None
+    told = {"stamp_ns", "frame_id", *(name for name, _ in (*lead, *shapes))}
+    return Flat(kind, lead, _laid_out(shapes)) if shapes and fields.keys() <= told else None
 
 
 def _laid_out(shapes: list[tuple[str, tuple[int, ...]]]) -> list[Run]:
