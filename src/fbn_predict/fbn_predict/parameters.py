@@ -47,7 +47,7 @@ class Dynamics:
     buoyancy: float = param(0.017, "m/s^2", "excess over weight, per mass across; fades at the surface", "1 N")
     righting_roll: float = param(19.0, "1/s^2", "righting torque per sine of roll", "metacentric height 12 mm")
     righting_pitch: float = param(0.57, "1/s^2", "righting torque per sine of pitch", "metacentric height 12 mm")
-    surface_loss: float = param(0.05, "-", "part of the thrust lost at the surface", "15 % of thrust is 5 % of speed")
+    surface_loss: float = param(0.1, "-", "part of the thrust lost at the surface", "ventilation")
     surface_depth: float = param(0.2, "m", "depth above which the surface counts", "hull diameter")
 
     def __post_init__(self) -> None:

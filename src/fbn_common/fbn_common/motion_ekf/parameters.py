@@ -99,9 +99,9 @@ class HistoryParameters:
 class WalkParameters:
     """How fast the vehicle's parameters may change: standard deviation after an hour, and where it ends."""
 
-    angular_actuation: float = param(0.05, "rad/s^2", "per root hour", "a servo horn slips, a trim changes")
-    damping: float = param(0.02, "-", "relative to 0.27 and 1.5 1/s, per root hour", "a hull stays as it is")
-    thrust: float = param(0.003, "m/s^2", "per root hour", "1.5 % of terminal speed: battery, growth")
+    angular_actuation: float = param(0.1, "rad/s^2", "per root hour", "a servo horn slips, a trim changes")
+    damping: float = param(0.1, "-", "relative to 0.27 and 1.5 1/s, per root hour", "weed")
+    thrust: float = param(0.02, "m/s^2", "per root hour", "battery, propeller")
     water: float = param(0.06, "m/s", "per root hour, east and north", "tide: 0.3 m/s in 6 h, over minutes")
     water_limit: float = param(0.5, "m/s", "standard deviation at which the water's walk ends", "coastal")
 
