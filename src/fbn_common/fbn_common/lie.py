@@ -8,14 +8,14 @@ the estimators' kernels can call them.  Roll, pitch and yaw are the fixed-axis x
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.types import Mat3, Quaternion, Vec3
 
 _SMALL = 1e-8  # rad: below it the series' next term is under the double's resolution
 
 
-@njit(cache=True)
+@kernel
 def skew(v: Vec3) -> Mat3:
     """The matrix ``[v]x`` with ``[v]x w = v x w``."""
     m = np.zeros((3, 3))
@@ -25,7 +25,7 @@ def skew(v: Vec3) -> Mat3:
     return m
 
 
-@njit(cache=True)
+@kernel
 def so3_exp(theta: Vec3) -> Mat3:
     """Rotation matrix of a rotation vector [rad] (Rodrigues)."""
     a2 = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
@@ -48,7 +48,7 @@ def so3_exp(theta: Vec3) -> Mat3:
     return m
 
 
-@njit(cache=True)
+@kernel
 def quaternion_from_matrix(rotation: Mat3) -> Quaternion:
     """Unit quaternion (x, y, z, w; w >= 0) of a rotation matrix, by its largest component."""
     r = rotation
@@ -77,7 +77,7 @@ def quaternion_from_matrix(rotation: Mat3) -> Quaternion:
     return q / np.sqrt((q * q).sum())
 
 
-@njit(cache=True)
+@kernel
 def matrix_from_quaternion(quaternion: Quaternion) -> Mat3:
     """Rotation matrix of a quaternion x, y, z, w (normalised here; its norm must not be zero)."""
     q = quaternion / np.sqrt((quaternion * quaternion).sum())
@@ -89,7 +89,7 @@ def matrix_from_quaternion(quaternion: Quaternion) -> Mat3:
     return m
 
 
-@njit(cache=True)
+@kernel
 def so3_log(rotation: Mat3) -> Vec3:
     """Rotation vector [rad], of length at most pi, of a rotation matrix (through the quaternion: stable at pi)."""
     q = quaternion_from_matrix(rotation)
@@ -99,7 +99,7 @@ def so3_log(rotation: Mat3) -> Vec3:
     return (2.0 * np.arctan2(n, q[3]) / n) * q[:3]
 
 
-@njit(cache=True)
+@kernel
 def so3_right_jacobian(theta: Vec3) -> Mat3:
     """``Jr`` with ``Exp(theta + d) = Exp(theta) Exp(Jr d)`` to first order."""
     a2 = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
@@ -112,7 +112,7 @@ def so3_right_jacobian(theta: Vec3) -> Mat3:
     return np.eye(3) - b * k + c * (k @ k)
 
 
-@njit(cache=True)
+@kernel
 def so3_right_jacobian_inverse(theta: Vec3) -> Mat3:
     """Inverse of :func:`so3_right_jacobian`: ``Log(Exp(theta) Exp(d)) = theta + Jr^-1 d``; for ``|theta| < 2 pi``."""
     a2 = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
@@ -125,7 +125,7 @@ def so3_right_jacobian_inverse(theta: Vec3) -> Mat3:
     return np.eye(3) + 0.5 * k + c * (k @ k)
 
 
-@njit(cache=True)
+@kernel
 def rpy_from_matrix(rotation: Mat3) -> Vec3:
     """Roll, pitch, yaw [rad] of ``R = Rz(yaw) Ry(pitch) Rx(roll)``; pitch in [-pi/2, pi/2]."""
     r = rotation
@@ -136,7 +136,7 @@ def rpy_from_matrix(rotation: Mat3) -> Vec3:
     return out
 
 
-@njit(cache=True)
+@kernel
 def matrix_from_rpy(rpy: Vec3) -> Mat3:
     """``Rz(yaw) Ry(pitch) Rx(roll)`` of roll, pitch, yaw [rad]."""
     cr, sr = np.cos(rpy[0]), np.sin(rpy[0])
@@ -149,7 +149,7 @@ def matrix_from_rpy(rpy: Vec3) -> Mat3:
     return m
 
 
-@njit(cache=True)
+@kernel
 def rpy_jacobian(rpy: Vec3) -> Mat3:
     """``E`` with ``d(roll, pitch, yaw) = E dtheta`` for ``R Exp(dtheta)``; singular at pitch = +-pi/2."""
     cr, sr = np.cos(rpy[0]), np.sin(rpy[0])
@@ -161,7 +161,7 @@ def rpy_jacobian(rpy: Vec3) -> Mat3:
     return m
 
 
-@njit(cache=True)
+@kernel
 def wrap(angle: float) -> float:
     """The angle [rad] brought into [-pi, pi)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi

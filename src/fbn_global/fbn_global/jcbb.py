@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy.stats import chi2
 
+from fbn_common.kernels import kernel
 from fbn_common.types import Array
 
 Ints = npt.NDArray[np.int64]
@@ -48,7 +48,7 @@ def jcbb(
     return Joint(tuple(int(a) for a in assigned), float(distance), int(nodes), bool(complete))
 
 
-@njit(cache=True)
+@kernel
 def jcbb_kernel(
     x: Array,
     p: Array,
@@ -114,7 +114,7 @@ def jcbb_kernel(
     return best_distance, nodes, nodes < most_nodes
 
 
-@njit(cache=True)
+@kernel
 def extend(
     x: Array,
     p: Array,

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.types import Array, Mat3
 from fbn_global.jcbb import chi_square_99
 
@@ -28,7 +28,7 @@ class Grown(NamedTuple):
     log_ratio: float
 
 
-@njit(cache=True)
+@kernel
 def inverse3(m: Mat3, out: Mat3) -> float:
     """Writes the inverse of a symmetric 3 x 3 matrix; gives its determinant."""
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
@@ -40,7 +40,7 @@ def inverse3(m: Mat3, out: Mat3) -> float:
     return float(det)
 
 
-@njit(cache=True)
+@kernel
 def difference_covariance(p: Array, i: int, j: int, noise: Mat3, out: Mat3) -> None:
     """Writes the covariance of point i less point j of a joint (3 n, 3 n), plus noise."""
     for a in range(3):
@@ -54,7 +54,7 @@ def difference_covariance(p: Array, i: int, j: int, noise: Mat3, out: Mat3) -> N
             )
 
 
-@njit(cache=True)
+@kernel
 def pair_fit(x: Array, p: Array, i: int, j: int, noise: Mat3, s: Mat3, inverse: Mat3) -> tuple[float, float]:
     """Squared Mahalanobis distance of points i and j of a joint Gaussian, and the log density of their difference."""
     difference_covariance(p, i, j, noise, s)
@@ -66,7 +66,7 @@ def pair_fit(x: Array, p: Array, i: int, j: int, noise: Mat3, s: Mat3, inverse: 
     return d2, -0.5 * (d2 + np.log(det) + 3.0 * 1.8378770664093453)
 
 
-@njit(cache=True)
+@kernel
 def equate_points(x: Array, p: Array, i: int, j: int, inverse: Mat3) -> None:
     """Conditions the joint Gaussian, in place, on points i and j being one, by the inverse of their covariance."""
     n = x.shape[0]
@@ -87,7 +87,7 @@ def equate_points(x: Array, p: Array, i: int, j: int, inverse: Mat3) -> None:
             p[m, k] = p[k, m]
 
 
-@njit(cache=True)
+@kernel
 def grow_kernel(
     x: Array,
     p: Array,
@@ -139,7 +139,7 @@ def grow_kernel(
     return count, total
 
 
-@njit(cache=True)
+@kernel
 def support_kernel(
     x: Array, p: Array, found: int, allowed: npt.NDArray[np.bool_], noise: Mat3, tight: float, gate: float
 ) -> npt.NDArray[np.int64]:
@@ -167,7 +167,7 @@ def support_kernel(
     return votes
 
 
-@njit(cache=True)
+@kernel
 def same_way(x: Array, p: Array, i: int, j: int, k: int, m: int, noise: Mat3, gate: float) -> bool:
     """Whether k lies from i, in distance and direction, as m does from j, within the gate (horizontal)."""
     dx = (x[3 * k] - x[3 * i]) - (x[3 * m] - x[3 * j])
@@ -214,7 +214,7 @@ class Problem(NamedTuple):
         return pair_distances(self.x, self.p, self.found, self.allowed.shape[1], self.noise)
 
 
-@njit(cache=True)
+@kernel
 def pair_distances(x: Array, p: Array, found: int, maps: int, noise: Mat3) -> Array:
     """Squared Mahalanobis distance (found, map) of each found feature to each of the map."""
     out = np.empty((found, maps))

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy.stats import chi2
 
+from fbn_common.kernels import kernel
 from fbn_common.records import SweptArea
 from fbn_common.types import Array
 
@@ -72,7 +72,7 @@ def scan_counts(relative: Array, covariance: Array, sweeps: Sweeps) -> Array:
     )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def _counts(
     relative: Array,
     covariance: Array,
@@ -100,7 +100,7 @@ def _counts(
     return out
 
 
-@njit(cache=True)
+@kernel
 def missed(scans: float, visibility: float, promotion: int) -> float:
     """Chance of fewer than ``promotion`` detections in so many scans; between whole numbers, linear."""
     low = int(np.floor(scans))
@@ -109,7 +109,7 @@ def missed(scans: float, visibility: float, promotion: int) -> float:
     return chance if part == 0.0 else (1.0 - part) * chance + part * _missed_whole(low + 1, visibility, promotion)
 
 
-@njit(cache=True)
+@kernel
 def _missed_whole(scans: int, visibility: float, promotion: int) -> float:
     if scans < promotion:
         return 1.0
@@ -120,7 +120,7 @@ def _missed_whole(scans: int, visibility: float, promotion: int) -> float:
     return min(total, 1.0)
 
 
-@njit(cache=True)
+@kernel
 def log_missed(
     counts: Array, detected: Bools, visibility: Array, existence: Array, promotion: int, floor: float
 ) -> Array:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import skew, so3_exp, so3_right_jacobian
 from fbn_common.types import Array, Mat3, Vec3
 from fbn_predict.parameters import Dynamics
@@ -53,7 +53,7 @@ def model_of(d: Dynamics) -> Model:
     )
 
 
-@njit(cache=True)
+@kernel
 def actuation(model: Model, actuators: Array, speed: float, depth: float, out: Array) -> None:
     """Unit force 3 and torque 3, and their slopes by forward speed 6, into ``out`` (12,).
 
@@ -76,7 +76,7 @@ def actuation(model: Model, actuators: Array, speed: float, depth: float, out: A
     out[9], out[10], out[11] = 0.0, -model.fin_torque * slope * plane, -model.fin_torque * slope * rudder
 
 
-@njit(cache=True)
+@kernel
 def _mul(a: Mat3, b: Mat3) -> Mat3:
     c = np.zeros((3, 3))
     for i in range(3):
@@ -86,7 +86,7 @@ def _mul(a: Mat3, b: Mat3) -> Mat3:
     return c
 
 
-@njit(cache=True)
+@kernel
 def _rotate_back(a: Mat3, v: Vec3) -> Vec3:
     out = np.empty(3)
     for i in range(3):
@@ -94,12 +94,12 @@ def _rotate_back(a: Mat3, v: Vec3) -> Vec3:
     return out
 
 
-@njit(cache=True)
+@kernel
 def _cross(a: Vec3, b: Vec3) -> Vec3:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-@njit(cache=True)
+@kernel
 def rates(
     y: Array,
     attitude: Mat3,
@@ -143,7 +143,7 @@ def rates(
         _jacobians(y, e, world, p, model, water0, up0, water, up, rel, flow, drive, momentum, lift, a, b)
 
 
-@njit(cache=True)
+@kernel
 def _jacobians(
     y: Array,
     e: Mat3,
@@ -223,7 +223,7 @@ def _jacobians(
         b[10, j] += model.righting[1] * base_up[0, j]
 
 
-@njit(cache=True)
+@kernel
 def _flow(a: Array, b: Array, s: Array, out: Array) -> None:
     """``out = A S + [0 B]``, leaving out the columns of A that are zero (the increment's)."""
     for i in range(12):
@@ -238,7 +238,7 @@ def _flow(a: Array, b: Array, s: Array, out: Array) -> None:
             out[i, 6 + j] += b[i, j]
 
 
-@njit(cache=True)
+@kernel
 def step(
     velocity: Array,
     attitude: Mat3,

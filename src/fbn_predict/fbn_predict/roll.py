@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import quaternion_from_matrix, so3_exp
 from fbn_common.types import Array, Vec3
 from fbn_predict.dynamics import COLUMNS, Model, step
@@ -48,7 +48,7 @@ def new_ring(n: int) -> Ring:
     )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def noise_of_step(linear: Vec3, angular: Vec3, dt: float, q: Array) -> None:
     """Covariance (12, 12) of a step's white accelerations (power spectral densities, body axes)."""
     q[:] = 0.0
@@ -59,7 +59,7 @@ def noise_of_step(linear: Vec3, angular: Vec3, dt: float, q: Array) -> None:
         q[6 + i, 6 + i] = density * dt
 
 
-@njit(cache=True)
+@kernel
 def _noise(p: Array, depth: float, levels: Levels, dt: float, q: Array) -> None:
     """A step's noise: a standing error s of velocity is kept up by white acceleration of density ``2 D s^2``."""
     surge = levels.surge * np.exp(-max(depth, 0.0) / levels.surge_depth)
@@ -70,7 +70,7 @@ def _noise(p: Array, depth: float, levels: Levels, dt: float, q: Array) -> None:
     noise_of_step(linear, angular, dt, q)
 
 
-@njit(cache=True)
+@kernel
 def roll(
     ring: Ring, first: int, actuators: Array, dt: float, model: Model, levels: Levels, wanted: bool,
     mean: Array, attitude: Array, jacobian: Array, noise: Array,

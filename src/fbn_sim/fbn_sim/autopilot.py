@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import rpy_from_matrix, wrap
 from fbn_common.types import Array, Mat3
 from fbn_sim.kernels import times
@@ -46,7 +46,7 @@ class Surroundings(NamedTuple):
     pilot: PilotTable
 
 
-@njit(cache=True)
+@kernel
 def new_memory(x: float, y: float, yaw: float) -> Array:
     """The pilot's memory at the start: it knows where it is put in."""
     memory = np.zeros(MEMORY)
@@ -56,14 +56,14 @@ def new_memory(x: float, y: float, yaw: float) -> Array:
     return memory
 
 
-@njit(cache=True)
+@kernel
 def deviation(coefficients: Array, yaw: float) -> float:
     """Deviation of the compass [rad] at a heading: hard iron turns once, soft iron twice a circle."""
     c = coefficients
     return c[0] * np.sin(yaw + c[1]) + c[2] * np.sin(2.0 * yaw + c[3]) + c[4]
 
 
-@njit(cache=True)
+@kernel
 def pilot(memory: Array, state: Array, rotation: Mat3, t: float, around: Surroundings) -> Array:
     """The command (3,) [rad/s, rad, rad] from what the pilot senses now; every PERIOD_S; updates its memory."""
     table = around.pilot
@@ -81,7 +81,7 @@ def pilot(memory: Array, state: Array, rotation: Mat3, t: float, around: Surroun
     return command
 
 
-@njit(cache=True)
+@kernel
 def _sense(state: Array, rotation: Mat3, t: float, table: PilotTable) -> tuple[float, float, float]:
     rpy = rpy_from_matrix(rotation)
     noise = table.noise[int(t / PERIOD_S + 0.5)]
@@ -89,7 +89,7 @@ def _sense(state: Array, rotation: Mat3, t: float, table: PilotTable) -> tuple[f
     return yaw, rpy[1] + noise[1], -state[2] + noise[2]
 
 
-@njit(cache=True)
+@kernel
 def _navigate(
     memory: Array, state: Array, rotation: Mat3, yaw: float, pitch: float, t: float, around: Surroundings
 ) -> None:
@@ -107,7 +107,7 @@ def _navigate(
         memory[NAV_Y] += gain * (antenna[1] + error[1] - memory[NAV_Y])
 
 
-@njit(cache=True)
+@kernel
 def _next_leg(memory: Array, yaw: float, table: PilotTable) -> None:
     leg = table.legs[int(memory[LEG])]
     memory[SECONDS] += PERIOD_S
@@ -129,7 +129,7 @@ def _next_leg(memory: Array, yaw: float, table: PilotTable) -> None:
     memory[HOLD_YAW] = yaw
 
 
-@njit(cache=True)
+@kernel
 def _on_line(memory: Array, leg: Array) -> tuple[float, float, float]:
     """Direction of the line [rad], distance left of it, distance to go along it [m]."""
     dx, dy = leg[1] - memory[FROM_X], leg[2] - memory[FROM_Y]
@@ -138,7 +138,7 @@ def _on_line(memory: Array, leg: Array) -> tuple[float, float, float]:
     return np.arctan2(dy, dx), (dx * ey - dy * ex) / length, length - (dx * ex + dy * ey) / length
 
 
-@njit(cache=True)
+@kernel
 def _steer(memory: Array, leg: Array, yaw: float, yaw_rate: float, gains: Array) -> float:
     wanted = memory[HOLD_YAW]
     if leg[0] > 0.0:
@@ -147,7 +147,7 @@ def _steer(memory: Array, leg: Array, yaw: float, yaw_rate: float, gains: Array)
     return -(gains[0] * wrap(wanted - yaw) - gains[1] * yaw_rate)
 
 
-@njit(cache=True)
+@kernel
 def _elevate(memory: Array, leg: Array, depth: float, pitch: float, pitch_rate: float, gains: Array) -> float:
     """Tilt from depth: the bow goes down (positive pitch) where the wanted depth is below."""
     error = min(max(max(leg[3], AFLOAT) - depth, -1.0), 1.0)

@@ -7,8 +7,8 @@ the water acts: ``M nu' = tau - C_rb(nu) nu - C_a(nu_r) nu_r + (M_a + displaced)
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.types import Array, Mat3, Mat6, Vec3, Vec6
 from fbn_sim.kernels import cross, times, transposed_times
@@ -19,7 +19,7 @@ BOW_SHARE = 0.2  # of the buoyancy in the tapering bow, and as much in the stern
 STATE = 13  # position 3 (map), quaternion 4, velocity 6 (body, over ground)
 
 
-@njit(cache=True)
+@kernel
 def coriolis(mass: Mat6, velocity: Vec6) -> Vec6:
     """``C(nu) nu`` of a body with this mass matrix (Kirchhoff's equations)."""
     momentum = times(mass, velocity)
@@ -30,7 +30,7 @@ def coriolis(mass: Mat6, velocity: Vec6) -> Vec6:
     return out
 
 
-@njit(cache=True)
+@kernel
 def propulsion(body: Body, velocity: Vec6, actuators: Array, depth: float) -> Vec6:
     """Force and torque (6,) of the propeller; positive pan pushes the stern left, positive tilt pushes it down."""
     rate = actuators[0]
@@ -47,7 +47,7 @@ def propulsion(body: Body, velocity: Vec6, actuators: Array, depth: float) -> Ve
     return out
 
 
-@njit(cache=True)
+@kernel
 def hydrodynamics(body: Body, velocity: Vec6, actuators: Array) -> Vec6:
     """Force and torque (6,) of drag, of the hull's lift and of the tail's, by velocity relative to the water."""
     out = -(body.linear_drag + body.quadratic_drag * np.abs(velocity)) * velocity
@@ -63,7 +63,7 @@ def hydrodynamics(body: Body, velocity: Vec6, actuators: Array) -> Vec6:
     return out
 
 
-@njit(cache=True)
+@kernel
 def restoring(body: Body, rotation: Mat3, position: Vec3, surface: float) -> Vec6:
     """Force and torque (6,) of weight and buoyancy; bow, middle and stern lose buoyancy as they leave the water."""
     up = rotation[2].copy()  # world's up in the body
@@ -81,7 +81,7 @@ def restoring(body: Body, rotation: Mat3, position: Vec3, surface: float) -> Vec
     return out
 
 
-@njit(cache=True)
+@kernel
 def derivative(state: Array, actuators: Array, t: float, body: Body, sea: SeaTable) -> Array:
     """Rate of change (13,) of the state."""
     position, velocity = state[:3], state[7:13]
@@ -115,7 +115,7 @@ def derivative(state: Array, actuators: Array, t: float, body: Body, sea: SeaTab
     return out
 
 
-@njit(cache=True)
+@kernel
 def step(state: Array, actuators: Array, t: float, dt: float, body: Body, sea: SeaTable) -> Array:
     """The state (13,) after ``dt`` [s], by the classical Runge-Kutta method."""
     k1 = derivative(state, actuators, t, body, sea)
@@ -127,7 +127,7 @@ def step(state: Array, actuators: Array, t: float, dt: float, body: Body, sea: S
     return out
 
 
-@njit(cache=True)
+@kernel
 def actuate(actuators: Array, command: Array, dt: float, body: Body) -> Array:
     """Propeller rate, pan and tilt (3,) after ``dt``: first-order lag, then limits of rate and range."""
     out = np.empty(3)

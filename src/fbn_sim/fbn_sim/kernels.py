@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.types import Array, Vec3
 
 
-@njit(cache=True)
+@kernel
 def cross(a: Vec3, b: Vec3) -> Vec3:
     """The vector product."""
     out = np.empty(3)
@@ -18,7 +18,7 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
     return out
 
 
-@njit(cache=True)
+@kernel
 def times(matrix: Array, vector: Array) -> Array:
     """``matrix @ vector``."""
     out = np.zeros(matrix.shape[0])
@@ -28,7 +28,7 @@ def times(matrix: Array, vector: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@kernel
 def transposed_times(matrix: Array, vector: Array) -> Array:
     """``matrix.T @ vector``."""
     out = np.zeros(matrix.shape[1])
@@ -38,7 +38,7 @@ def transposed_times(matrix: Array, vector: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@kernel
 def length(vector: Array) -> float:
     """The Euclidean norm."""
     total = 0.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.types import Array
 from fbn_sim.autopilot import DONE, LEG, NAV_X, NAV_Y, PERIOD_S, Surroundings, new_memory, pilot
@@ -36,7 +36,7 @@ class Motion:
     pilot_xy: Array  # (n, 2) m, where the pilot believes to be
 
 
-@njit(cache=True)
+@kernel
 def _fly(start: Array, yaw: float, dt: float, steps: int, around: Surroundings) -> tuple[Array, int]:
     """Rows (n, 24) of the truth at each step, and how many are valid."""
     rows = np.empty((steps, 24))

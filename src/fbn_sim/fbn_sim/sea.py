@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.parameters import ParameterError, param
 from fbn_common.types import Array, Vec3
 from fbn_sim.kernels import times
@@ -102,7 +102,7 @@ def wave_number(omega: Array, depth: float) -> Array:
     return np.asarray(k)
 
 
-@njit(cache=True)
+@kernel
 def current(sea: SeaTable, t: float, position: Vec3) -> Vec3:
     """Velocity of the water [m/s, map] without waves, at a time [s] since the start and a place [m, map]."""
     i = min(int(t / TABLE_STEP_S), sea.tide.shape[0] - 2)
@@ -123,7 +123,7 @@ def current(sea: SeaTable, t: float, position: Vec3) -> Vec3:
     return out
 
 
-@njit(cache=True)
+@kernel
 def elevation(sea: SeaTable, t: float, position: Vec3) -> float:
     """Height of the water's surface [m] over its mean."""
     height = 0.0
@@ -134,7 +134,7 @@ def elevation(sea: SeaTable, t: float, position: Vec3) -> float:
     return height
 
 
-@njit(cache=True)
+@kernel
 def orbital(sea: SeaTable, t: float, position: Vec3) -> tuple[Vec3, Vec3]:
     """Velocity [m/s] and acceleration [m/s^2] of the water by waves (linear theory, finite depth; map axes).
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from fbn_common.geodesy import GeodeticPoint
+from fbn_common.kernels import kernel
 from fbn_common.parameters import ParameterError, group, param
 from fbn_common.types import Array, Vec3
 from fbn_sim.randomness import generator
@@ -98,7 +98,7 @@ def draw_bed(world: World, seed: int) -> Array:
     return waves
 
 
-@njit(cache=True)
+@kernel
 def bed_height(bed: Array, x: float, y: float) -> float:
     """z of the bed [m, map, negative] at a place."""
     z = 0.0

@@ -11,8 +11,8 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import rpy_from_matrix, rpy_jacobian, so3_log, so3_right_jacobian_inverse, wrap
 from fbn_common.types import Array, Mat3, Vec3
 from fbn_tracking.geometry import anchored_observation, cross_matrix
@@ -44,7 +44,7 @@ def whitener(information: Array) -> Array:
     return np.ascontiguousarray((vectors * np.sqrt(np.maximum(values, 0.0))).T)
 
 
-@njit(cache=True)
+@kernel
 def link_kernel(
     T_from: Array, T_to: Array, drift: Vec3, inc: Vec3, R_inc: Mat3, dt: float, W: Array
 ) -> tuple[Array, Array, Array, Array]:
@@ -66,7 +66,7 @@ def link_kernel(
     return W @ e, W @ H1, W @ H2, W @ Hb
 
 
-@njit(cache=True)
+@kernel
 def earth_kernel(T: Array, mean: Array, W: Array) -> tuple[Array, Array]:
     """Whitened residual (4) of z, roll, pitch, yaw and its derivative by the pose (4, 6)."""
     R = T[:3, :3].copy()
@@ -80,7 +80,7 @@ def earth_kernel(T: Array, mean: Array, W: Array) -> tuple[Array, Array]:
     return W @ e, W @ H
 
 
-@njit(cache=True)
+@kernel
 def detection_kernel(
     T_anchor: Array, T_pose: Array, mount_anchor: Array, mount: Array, q: Vec3, z: Array, curved: bool
 ) -> tuple[Array, Array, Array, Array]:
@@ -102,7 +102,7 @@ def detection_kernel(
     return e, H_a, H_j, H_f
 
 
-@njit(cache=True)
+@kernel
 def u_row(theta: float, a: float, c: float, curved: bool) -> tuple[float, float, float]:
     """``u``, ``u'`` and, where ``curved``, ``sqrt(u u'')`` of ``u = a theta + c theta^3``."""
     u = a * theta + c * theta**3

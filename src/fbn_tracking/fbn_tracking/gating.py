@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.types import Array, Mat3, Vec3
 from fbn_tracking.geometry import observe, u_from_theta
 from fbn_tracking.infants import cholesky_solve
 
 
-@njit(cache=True)
+@kernel
 def predict_points(
     points: Array, slack: Array, covariance: Array, t: Array, extra: Array, R: Mat3, p: Vec3, a: float, c: float
 ) -> tuple[Array, Array]:
@@ -36,7 +36,7 @@ def predict_points(
     return z, S
 
 
-@njit(cache=True)
+@kernel
 def pair_costs(z: Array, S: Array, echoes: Array) -> tuple[Array, Array, Array]:
     """For every candidate (m) and echo (d): energy increase (3 dof), NIS of r and phi, ln of |S| over |R|.
 
@@ -57,7 +57,7 @@ def pair_costs(z: Array, S: Array, echoes: Array) -> tuple[Array, Array, Array]:
     return energy, nis, volume
 
 
-@njit(cache=True)
+@kernel
 def beam_weights(point: Vec3, R: Array, p: Array, limits: Array) -> Array:
     """How well each look (n) should see a world point: ``exp(-u^2 / 2)`` inside the field of view, else 0.
 

@@ -9,14 +9,14 @@ convergence.  All functions are compiled; see docs/equations/tracking.md.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.types import Array, Mat3, Vec3
 
 _NEAR = 1e-9  # m: an echo from the array's own axis or origin has no direction
 
 
-@njit(cache=True)
+@kernel
 def elevation_shape(half_lobe: float, alpha: float, cubic: bool) -> tuple[float, float]:
     """``(a, c)`` of ``u = a theta + c theta^3`` with u = 1 at the lobe's edge [1/rad, 1/rad^3]."""
     if not cubic:
@@ -25,13 +25,13 @@ def elevation_shape(half_lobe: float, alpha: float, cubic: bool) -> tuple[float,
     return k * alpha, k
 
 
-@njit(cache=True)
+@kernel
 def u_from_theta(theta: float, a: float, c: float) -> float:
     """Noise coordinate of an angle around the axis."""
     return a * theta + c * theta**3
 
 
-@njit(cache=True)
+@kernel
 def theta_from_u(u: float, a: float, c: float) -> float:
     """Inverse of :func:`u_from_theta` (the real root of the depressed cubic, by hyperbolic sine) [rad]."""
     if c == 0.0:
@@ -40,7 +40,7 @@ def theta_from_u(u: float, a: float, c: float) -> float:
     return 2.0 * b * np.sinh(np.arcsinh(u / (2.0 * c * b**3)) / 3.0)
 
 
-@njit(cache=True)
+@kernel
 def finite_slope(theta: float, sigma_u: float, a: float, c: float) -> float:
     """``d theta / d u`` [rad] over one standard deviation of u to either side (IROS 2007, IV)."""
     u = u_from_theta(theta, a, c)
@@ -48,7 +48,7 @@ def finite_slope(theta: float, sigma_u: float, a: float, c: float) -> float:
     return (theta_from_u(u + s, a, c) - theta_from_u(u - s, a, c)) / (2.0 * s)
 
 
-@njit(cache=True)
+@kernel
 def cartesian_jacobian(q: Vec3) -> tuple[Vec3, Mat3]:
     """Point in the array's frame at ``q = (r, phi, theta)`` and its derivative by q."""
     sp, cp, st, ct = np.sin(q[1]), np.cos(q[1]), np.sin(q[2]), np.cos(q[2])
@@ -61,7 +61,7 @@ def cartesian_jacobian(q: Vec3) -> tuple[Vec3, Mat3]:
     return point, d
 
 
-@njit(cache=True)
+@kernel
 def polar_jacobian(s: Vec3) -> tuple[Vec3, Mat3]:
     """``(r, phi, theta)`` of a point in the array's frame and its derivative by the point."""
     rho = max(np.sqrt(s[0] ** 2 + s[1] ** 2), _NEAR)
@@ -76,21 +76,21 @@ def polar_jacobian(s: Vec3) -> tuple[Vec3, Mat3]:
     return z, d
 
 
-@njit(cache=True)
+@kernel
 def world_point(R_world_array: Mat3, p_world_array: Vec3, q: Vec3) -> tuple[Vec3, Mat3]:
     """World point of ``q`` seen by an array at this pose, and its derivative by q."""
     c, dc = cartesian_jacobian(q)
     return p_world_array + R_world_array @ c, R_world_array @ dc
 
 
-@njit(cache=True)
+@kernel
 def observe(R_world_array: Mat3, p_world_array: Vec3, point: Vec3) -> tuple[Vec3, Mat3]:
     """``(r, phi, theta)`` of a world point as an array at this pose sees it, and its derivative by the point."""
     z, d = polar_jacobian(R_world_array.T @ (point - p_world_array))
     return z, d @ R_world_array.T
 
 
-@njit(cache=True)
+@kernel
 def cross_matrix(v: Vec3, m: Mat3) -> Mat3:
     """``m [v]x`` without forming the skew matrix."""
     out = np.empty((m.shape[0], 3))
@@ -101,7 +101,7 @@ def cross_matrix(v: Vec3, m: Mat3) -> Mat3:
     return out
 
 
-@njit(cache=True)
+@kernel
 def anchored_observation(
     T_anchor: Array, T_pose: Array, mount_anchor: Array, mount: Array, q: Vec3
 ) -> tuple[Vec3, Array, Array, Mat3]:

@@ -9,8 +9,8 @@ are never moved.  Levenberg-Marquardt, all by hand: five unknowns, microseconds.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.types import Array, Mat2, Mat3, Vec2, Vec3
 from fbn_tracking.geometry import finite_slope, observe, u_from_theta, world_point
 
@@ -19,7 +19,7 @@ _PROFILE_ITERATIONS = 4  # nearly linear in all but theta
 _CONVERGED = 1e-5  # of the energy
 
 
-@njit(cache=True)
+@kernel
 def cholesky_solve(H: Array, g: Array) -> Array:
     """``H^-1 g`` for a small positive definite H (n, n); NaN where it is not."""
     n = g.shape[0]
@@ -41,7 +41,7 @@ def cholesky_solve(H: Array, g: Array) -> Array:
     return x
 
 
-@njit(cache=True)
+@kernel
 def symmetric_inverse(H: Array) -> Array:
     """Inverse of a small positive definite matrix (n, n), column by column."""
     n = H.shape[0]
@@ -53,7 +53,7 @@ def symmetric_inverse(H: Array) -> Array:
     return 0.5 * (out + out.T)
 
 
-@njit(cache=True)
+@kernel
 def whitened(row: int, s: Vec3, z: Array) -> tuple[float, float]:
     """Derivative by the coordinate itself, and residual, of r, phi or u (row 0, 1, 2) in units of its noise."""
     if row < 2:
@@ -61,7 +61,7 @@ def whitened(row: int, s: Vec3, z: Array) -> tuple[float, float]:
     return z[4] + 3.0 * z[5] * s[2] ** 2, u_from_theta(s[2], z[4], z[5])
 
 
-@njit(cache=True)
+@kernel
 def normal_equations(
     x: Array, R: Array, p: Array, t: Array, z: Array, drift_information: Mat2, memory: Vec3, memory_information: Mat3
 ) -> tuple[Array, Array, float, float]:
@@ -101,7 +101,7 @@ def normal_equations(
     return H, g, float(energy + gap @ pull), float(static)
 
 
-@njit(cache=True)
+@kernel
 def profile(
     thetas: Array, x0: Array, R: Array, p: Array, t: Array, z: Array, drift_information: Mat2
 ) -> tuple[Array, Array]:
@@ -121,7 +121,7 @@ def profile(
     return energies, points
 
 
-@njit(cache=True)
+@kernel
 def missing_curvature(q: Vec3, R: Array, p: Array, z: Array) -> float:
     """What Gauss-Newton leaves out of the second derivative of half the energy by theta; 0 where that is negative."""
     t, none, step = np.zeros(z.shape[0]), np.zeros((3, 3)), 0.01
@@ -136,7 +136,7 @@ def missing_curvature(q: Vec3, R: Array, p: Array, z: Array) -> float:
     return max(0.0, 0.5 * (E[0] - 2.0 * E[1] + E[2]) / step**2 - known)
 
 
-@njit(cache=True)
+@kernel
 def fit(
     q0: Vec3,
     R: Array,
@@ -173,7 +173,7 @@ def fit(
     return x, H, energy, static
 
 
-@njit(cache=True)
+@kernel
 def spread(x: Array, H: Array, R: Mat3, p: Vec3, a: float, c: float) -> tuple[Vec3, Array]:
     """World point and covariance (5, 5) of (point, slack), the elevation's slope taken over one sigma of u."""
     point, d_q = world_point(R, p, x[:3].copy())

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.records import SweptArea
 from fbn_common.types import Array, Mat3, Vec2, Vec3
 
 
-@njit(cache=True)
+@kernel
 def count_scan(scans: Array, origin: Vec2, cell: float, R: Mat3, p: Vec3, limits: Array) -> None:
     """Add one look to ``scans`` (height, width): cells whose centre lies in range and bearing, elevation ignored.
 

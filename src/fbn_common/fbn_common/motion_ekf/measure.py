@@ -7,8 +7,8 @@ Each model fills the innovation ``nu``, its noise ``noise`` and the Jacobian ``h
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import so3_exp, so3_log
 from fbn_common.motion_ekf.layout import (
     ALTITUDE,
@@ -35,7 +35,7 @@ _COMPASS, _DEPTH, _CLIMB = int(Kind.COMPASS), int(Kind.DEPTH), int(Kind.CLIMB)
 _POSITION, _RANGE = int(Kind.POSITION), int(Kind.RANGE)
 
 
-@njit(cache=True)
+@kernel
 def _compass(
     x: Array, data: Array, config: Config, nu: Array, noise: Array, columns: IntArray, h: Array
 ) -> tuple[int, int]:
@@ -69,7 +69,7 @@ def _compass(
     return 3, 6
 
 
-@njit(cache=True)
+@kernel
 def _lever_rows(x: Array, lever: Array, h: Array, row: int, axis: int, at: int) -> float:
     """World coordinate ``axis`` of the lever arm; its Jacobian by the rotation goes to columns ``at..at+2``."""
     r = rotation_of(x)
@@ -79,7 +79,7 @@ def _lever_rows(x: Array, lever: Array, h: Array, row: int, axis: int, at: int) 
     return float(r[axis, 0] * lever[0] + r[axis, 1] * lever[1] + r[axis, 2] * lever[2])
 
 
-@njit(cache=True)
+@kernel
 def _depth(
     x: Array, data: Array, config: Config, nu: Array, noise: Array, columns: IntArray, h: Array
 ) -> tuple[int, int]:
@@ -98,7 +98,7 @@ def _depth(
     return 1, 5
 
 
-@njit(cache=True)
+@kernel
 def _climb(
     x: Array, data: Array, row: Array, dt: float, nu: Array, noise: Array, columns: IntArray, h: Array
 ) -> tuple[int, int]:
@@ -113,7 +113,7 @@ def _climb(
     return 1, 6
 
 
-@njit(cache=True)
+@kernel
 def _position(
     x: Array, data: Array, config: Config, nu: Array, noise: Array, columns: IntArray, h: Array
 ) -> tuple[int, int]:
@@ -137,7 +137,7 @@ def _position(
     return 2, 7
 
 
-@njit(cache=True)
+@kernel
 def _range(
     x: Array, data: Array, lever: Array, nu: Array, noise: Array, columns: IntArray, h: Array
 ) -> tuple[int, int]:
@@ -155,7 +155,7 @@ def _range(
     return 1, 6
 
 
-@njit(cache=True)
+@kernel
 def model(
     kind: int,
     x: Array,
@@ -180,7 +180,7 @@ def model(
     return _range(x, data, config.lever[_RANGE], nu, noise, columns, h)
 
 
-@njit(cache=True)
+@kernel
 def project(p: Array, columns: IntArray, h: Array, m: int, k: int) -> Array:
     """``H P`` (m, n)."""
     n = p.shape[0]
@@ -194,7 +194,7 @@ def project(p: Array, columns: IntArray, h: Array, m: int, k: int) -> Array:
     return hp
 
 
-@njit(cache=True)
+@kernel
 def innovation_covariance(hp: Array, columns: IntArray, h: Array, noise: Array, m: int, k: int) -> Array:
     """``S = H P H' + R`` (m, m), exactly symmetric."""
     s = np.empty((m, m))
@@ -208,7 +208,7 @@ def innovation_covariance(hp: Array, columns: IntArray, h: Array, noise: Array, 
     return s
 
 
-@njit(cache=True)
+@kernel
 def cholesky(s: Array) -> bool:
     """Lower Cholesky factor in place (the upper triangle is left); False where it is not positive definite."""
     m = s.shape[0]
@@ -226,7 +226,7 @@ def cholesky(s: Array) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def whiten(factor: Array, rows: Array) -> None:
     """``rows <- L^-1 rows`` in place, for (m, n) rows."""
     m, n = rows.shape
@@ -240,7 +240,7 @@ def whiten(factor: Array, rows: Array) -> None:
             rows[i, j] *= a
 
 
-@njit(cache=True)
+@kernel
 def correct(x: Array, p: Array, gain: Array, white: Array, first: int, estimated: int) -> None:
     """Apply the update: ``gain`` is ``L^-1 H P`` (m, n), ``white`` the whitened innovation (m,).
 
@@ -267,7 +267,7 @@ def correct(x: Array, p: Array, gain: Array, white: Array, first: int, estimated
     apply_error(x, dx)
 
 
-@njit(cache=True)
+@kernel
 def apply_error(x: Array, dx: Array) -> None:
     """``x <- x (+) dx``: position, velocity and parameters add; the rotation is perturbed on the right."""
     r, turn = rotation_of(x), so3_exp(dx[ROTATION : ROTATION + 3])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import quaternion_from_matrix
 from fbn_common.motion_ekf.core import State
 from fbn_common.motion_ekf.layout import VELOCITY, X_ROTATION, X_VELOCITY
@@ -18,7 +18,7 @@ def pose_of(x: Array) -> Pose:
     return Pose(x[0:3].copy(), quaternion_from_matrix(rotation_of(x)))
 
 
-@njit(cache=True)
+@kernel
 def _covariances(x: Array, p: Array) -> tuple[Array, Array]:
     """Pose covariance in fixed axes and twist covariance, (6, 6) each."""
     turn = np.eye(6)

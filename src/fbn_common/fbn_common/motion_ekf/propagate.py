@@ -6,8 +6,8 @@ See docs/equations/deadreck.md, "Prediction".  Written in scalars for numba; one
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import skew, so3_exp, so3_log, so3_right_jacobian
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
@@ -23,7 +23,7 @@ from fbn_common.motion_ekf.layout import (
 from fbn_common.types import Array, Mat3
 
 
-@njit(cache=True)
+@kernel
 def _product(a: Mat3, b: Mat3) -> Mat3:
     c = np.zeros((3, 3))
     for i in range(3):
@@ -33,12 +33,12 @@ def _product(a: Mat3, b: Mat3) -> Mat3:
     return c
 
 
-@njit(cache=True)
+@kernel
 def _apply(a: Mat3, v: Array) -> Array:
     return np.array([a[i, 0] * v[0] + a[i, 1] * v[1] + a[i, 2] * v[2] for i in range(3)])
 
 
-@njit(cache=True)
+@kernel
 def rotation_of(x: Array) -> Mat3:
     """R_world_base (3, 3) of a state, a copy."""
     r = np.empty((3, 3))
@@ -48,7 +48,7 @@ def rotation_of(x: Array) -> Mat3:
     return r
 
 
-@njit(cache=True)
+@kernel
 def set_rotation(x: Array, rotation: Mat3) -> None:
     """Write R_world_base into a state, its columns made orthonormal again (Gram-Schmidt)."""
     r = rotation
@@ -64,7 +64,7 @@ def set_rotation(x: Array, rotation: Mat3) -> None:
     x[X_ROTATION + 8] = a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@kernel
 def _offsets(x: Array, motions: Motions, k: int, a0: float, estimated: int, d: Array) -> tuple[float, float]:
     """Our state less the one the motion was computed with: rotation 3, velocity 6, parameters 15, into ``d``.
 
@@ -101,7 +101,7 @@ def _offsets(x: Array, motions: Motions, k: int, a0: float, estimated: int, d: A
     return c, s
 
 
-@njit(cache=True)
+@kernel
 def _transition(r: Mat3, turn: Mat3, s: Array, phi: Array, jacobian: Array, w: float, c: float, sn: float) -> Array:
     """F - I (12, 24): position, rotation, velocity by rotation 3, velocity 6, parameters 15."""
     f = np.zeros((12, 24))
@@ -130,7 +130,7 @@ def _transition(r: Mat3, turn: Mat3, s: Array, phi: Array, jacobian: Array, w: f
     return f
 
 
-@njit(cache=True)
+@kernel
 def _push(p: Array, f: Array) -> None:
     """P <- F P F' for F = [I + f on the first 12 rows; I], in place."""
     n = p.shape[0]
@@ -155,7 +155,7 @@ def _push(p: Array, f: Array) -> None:
             p[j, i] = total
 
 
-@njit(cache=True)
+@kernel
 def _add_noise(p: Array, r: Mat3, turn: Mat3, phi: Array, noise: Array, w: float) -> None:
     """P += w G Q G', with G taking (increment, rotation vector, velocity) to the error state."""
     g = np.zeros((12, 12))
@@ -183,7 +183,7 @@ def _add_noise(p: Array, r: Mat3, turn: Mat3, phi: Array, noise: Array, w: float
             p[i, j] += w * noise[i, j]
 
 
-@njit(cache=True)
+@kernel
 def _age(p: Array, dt: float, turned: float, config: Config) -> None:
     """Random walks of the parameters and decorrelation of the considered sensor states, in place."""
     for i in range(15):
@@ -200,7 +200,7 @@ def _age(p: Array, dt: float, turned: float, config: Config) -> None:
         p[b, b] += (1.0 - keep * keep) * config.variance[b - COMPASS]
 
 
-@njit(cache=True)
+@kernel
 def _change(jacobian: Array, d: Array) -> Array:
     """What our offset adds to increment, rotation vector and velocity (12,) over the whole step."""
     change = np.zeros(12)
@@ -210,7 +210,7 @@ def _change(jacobian: Array, d: Array) -> Array:
     return change
 
 
-@njit(cache=True)
+@kernel
 def propagate(x: Array, p: Array, motions: Motions, k: int, a0: float, a1: float, dt: float, config: Config) -> None:
     """State and covariance through the part ``a0..a1`` of motion ``k``, in place; ``dt`` [s] of that part.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.motion_ekf.layout import (
     ALTITUDE,
     ALTITUDE_TIME,
@@ -39,13 +39,13 @@ _COMPASS, _CLIMB = int(Kind.COMPASS), int(Kind.CLIMB)
 DONE, NO_MOTION, OUTSIDE = 0, 1, 2  # why `run` came back
 
 
-@njit(cache=True)
+@kernel
 def largest_eigenvalue(xx: float, xy: float, yy: float) -> float:
     """Of a symmetric 2x2 matrix."""
     return 0.5 * (xx + yy) + sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
 
 
-@njit(cache=True)
+@kernel
 def _refusal(kind: int, data: Array, x: Array, p: Array, row: Array, time_s: float, config: Config) -> int:
     """A reason not to look at the measurement at all."""
     if kind == _POSITION:
@@ -60,7 +60,7 @@ def _refusal(kind: int, data: Array, x: Array, p: Array, row: Array, time_s: flo
     return _NONE
 
 
-@njit(cache=True)
+@kernel
 def _consistent(row: Array, nu: Array, noise: Array, m: int, gate: float) -> bool:
     """Whether an outlier agrees with the one before it to within the sensor's own noise."""
     total = 0.0
@@ -69,7 +69,7 @@ def _consistent(row: Array, nu: Array, noise: Array, m: int, gate: float) -> boo
     return total < gate
 
 
-@njit(cache=True)
+@kernel
 def _others_agree(sensors: Array, s: int, time_s: float, window_s: float) -> bool:
     """Whether another source of position was used within the window."""
     for i in range(GPS_ROW, sensors.shape[0]):  # noqa: SIM110  numba
@@ -78,7 +78,7 @@ def _others_agree(sensors: Array, s: int, time_s: float, window_s: float) -> boo
     return False
 
 
-@njit(cache=True)
+@kernel
 def _open(p: Array, kind: int, nu: Array, m: int) -> None:
     """Make the states behind a locked-out sensor as uncertain as its innovation is large."""
     size = 0.0
@@ -95,7 +95,7 @@ def _open(p: Array, kind: int, nu: Array, m: int) -> None:
         p[i, i] += size
 
 
-@njit(cache=True)
+@kernel
 def _lockout(kind: int, sensors: Array, s: int, nu: Array, noise: Array, m: int, time_s: float, config: Config) -> int:
     """Count a gated measurement; says what follows: GATE, RESET or DROPPED."""
     row = sensors[s]
@@ -115,7 +115,7 @@ def _lockout(kind: int, sensors: Array, s: int, nu: Array, noise: Array, m: int,
     return _RESET
 
 
-@njit(cache=True)
+@kernel
 def _awaits_base(data: Array, x: Array, row: Array, time_s: float) -> int:
     """For an altitude: BASE where it only serves as the base of the next one, TILTED where it is of no use."""
     down = x[11]  # R_zz
@@ -130,7 +130,7 @@ def _awaits_base(data: Array, x: Array, row: Array, time_s: float) -> int:
     return _NONE
 
 
-@njit(cache=True)
+@kernel
 def measure(e: int, x: Array, p: Array, sensors: Array, events: Events, config: Config) -> None:
     """Update by the measurement in slot ``e``; its answer goes to the events' own columns."""
     kind, data, s = events.kind[e], events.data[e], events.sensor[e]
@@ -182,13 +182,13 @@ def measure(e: int, x: Array, p: Array, sensors: Array, events: Events, config: 
     correct(x, p, hp, white[:, 0].copy(), config.first, config.estimated)
 
 
-@njit(cache=True)
+@kernel
 def _note_xy(events: Events, e: int, at: int, x: Array, p: Array) -> None:
     row = events.xy[e]
     row[at], row[at + 1], row[at + 2], row[at + 3], row[at + 4] = x[0], x[1], p[0, 0], p[0, 1], p[1, 1]
 
 
-@njit(cache=True)
+@kernel
 def run(
     start_ns: int,
     target_ns: int,

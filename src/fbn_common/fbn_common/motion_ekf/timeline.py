@@ -5,8 +5,8 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.motion_ekf.layout import DATA_SIZE, GRID_NS, OUT_SIZE, Events, Kind, Motions
 from fbn_common.records import PredictedMotion
@@ -16,7 +16,7 @@ MOTIONS = 2048  # 20 s
 EVENTS = 4096
 
 
-@njit(cache=True)
+@kernel
 def _pack(
     rows: Motions, k: int, increment: Array, rotation: Array, start: Array, end: Array, parameters: Array,
     by_velocity: Array, by_attitude: Array, by_parameters: Array, noise: Array, attitude: Array,

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numba import njit
 
+from fbn_common.kernels import kernel
 from fbn_common.lie import so3_exp
 from fbn_common.parameters import group, param
 from fbn_common.records import SonarDetection, SonarDetections
@@ -57,7 +57,7 @@ class Sonar:
     most: int = param(12, "-", "detections a ping and array at most, the strongest", "a fixed number of maxima")
 
 
-@njit(cache=True)
+@kernel
 def sight(offset: Vec3, turn: Mat3, velocity: Vec6, mount: Mat3, origin: Vec3, sound_speed: float) -> Vec3:
     """Range, bearing to the axis and angle around it (3,) of a point at ``offset`` [m, map] from the vehicle.
 
@@ -76,7 +76,7 @@ def sight(offset: Vec3, turn: Mat3, velocity: Vec6, mount: Mat3, origin: Vec3, s
     return out
 
 
-@njit(cache=True)
+@kernel
 def _insonified(
     times: Array, positions: Array, turns: Array, velocity: Array, mount: Mat3, origin: Vec3, limits: Array,
     places: Array, drift: Array, life: Array, out: Array,
