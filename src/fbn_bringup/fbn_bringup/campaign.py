@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from fbn_bringup.evaluation.consistency import chi2_bound
 from fbn_bringup.evaluation.evaluate import Evaluation, evaluate
 from fbn_bringup.evaluation.run import NOT_KEPT, Item, Run, collect
 from fbn_bringup.ui import number, table
+from fbn_common import chi_square
 from fbn_common.records import Record
 
 
@@ -198,7 +198,7 @@ def _band(s: Spread, rows: list[Row]) -> tuple[str, str]:
     if not s.seeds:
         return "–", "–"
     dof = next((v for row in rows if (v := row.values.get(s.name.replace("nees", "dof", 1)))), 1.0) or 1.0
-    low, high = (float(chi2_bound(p, s.seeds * dof)) / (s.seeds * dof) for p in (0.025, 0.975))
+    low, high = (float(chi_square.bound(p, s.seeds * dof)) / (s.seeds * dof) for p in (0.025, 0.975))
     return f"{s.total / s.seeds:.2f}", f"{low:.2f}–{high:.2f}"
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2
 
+from fbn_common import chi_square
 from fbn_common.estimator import Health, Level, Output
 from fbn_common.geodesy import GeodeticPoint
 from fbn_common.graph import GRAPH
@@ -260,7 +260,7 @@ class Global:
         """Whether a composite contradicts all that is known of its base; it is then bridged by dead reckoning."""
         c, dof = snippet.composite, len(snippet.values)
         nis = inform_base(bank.null.state, snippet).nis
-        if nis <= chi2.isf(self.p.motion.composite_gate, max(dof, 1)):
+        if nis <= chi_square.bound_of_tail(self.p.motion.composite_gate, max(dof, 1)):
             return False
         reason = "contradicts what is known of its base and of the drift; bridged by dead reckoning"
         self._out.innovation(c.stamp_ns, "composite", Answer.GATED, reason, np.zeros(0), np.zeros(0), nis, dof)

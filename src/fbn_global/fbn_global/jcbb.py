@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
+from fbn_common import chi_square
 from fbn_common.kernels import kernel
 from fbn_common.types import Array
 
@@ -32,7 +32,7 @@ class Joint(NamedTuple):
 @cache
 def chi_square_99(dof: int) -> float:
     """The 99 % point of chi-square."""
-    return float(chi2.ppf(0.99, dof))
+    return float(chi_square.bound(0.99, dof))
 
 
 def jcbb(

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
+from fbn_common import chi_square
 from fbn_common.kernels import kernel
 from fbn_common.records import SweptArea
 from fbn_common.types import Array
@@ -29,7 +29,7 @@ _LEAST_SCANS = 0.1  # a composite with fewer expected scans of a feature did not
 def gaussian_points() -> Array:
     """Points (q, 2) of equal weight over the 95 % ellipse of a unit Gaussian: rings of equal probability."""
     probabilities = 0.95 * (np.arange(_RINGS) + 0.5) / _RINGS
-    radii = np.sqrt(chi2.ppf(probabilities, 2))
+    radii = np.sqrt(chi_square.bound(probabilities, 2))
     angles = 2 * np.pi * np.arange(_SPOKES) / _SPOKES
     points = [(r * np.cos(a + 0.4 * k), r * np.sin(a + 0.4 * k)) for k, r in enumerate(radii) for a in angles]
     return np.array(points)

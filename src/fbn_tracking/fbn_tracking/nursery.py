@@ -6,8 +6,8 @@ from collections import Counter
 from math import log
 
 import numpy as np
-from scipy.stats import chi2
 
+from fbn_common import chi_square
 from fbn_common.types import NS, Array, Mat2, Mat3
 from fbn_tracking.infants import slack_covariance
 from fbn_tracking.modes import Surroundings, find_modes
@@ -97,7 +97,7 @@ class Nursery:
 
     def static(self, energy: float, n: int) -> bool:
         """Whether ``n`` detections of one static target may have this energy: chi-square with 2 n - 3 dof."""
-        passed = energy <= float(chi2.ppf(self.parameters.infant.static_probability, 2 * n - 3))
+        passed = energy <= float(chi_square.bound(self.parameters.infant.static_probability, 2 * n - 3))
         if not passed:
             self.counts["static_world_refusals"] += 1
         return passed

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from math import log1p
 
-from scipy.stats import chi2
-
+from fbn_common import chi_square
 from fbn_common.records import Innovation, Verdict
 from fbn_common.types import Mat3
 from fbn_tracking.factors import DRIFT
@@ -25,7 +24,7 @@ class Scanner:
         self.parameters = parameters
         self.nursery = nursery
         self.joint: Joint | None = None
-        self._gate = float(chi2.ppf(parameters.gate, 3))
+        self._gate = float(chi_square.bound(parameters.gate, 3))
         self._of: tuple[int, int, tuple[int, ...]] | None = None
 
     def scan(self, window: Window, look: Look, echoes: list[Detection]) -> list[Innovation]:

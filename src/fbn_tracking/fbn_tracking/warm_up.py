@@ -7,7 +7,6 @@ from functools import cache
 import gtsam
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.stats import chi2
 
 from fbn_common import lie
 from fbn_tracking import factors, gating, geometry, infants, swept
@@ -43,6 +42,5 @@ def warm_up() -> None:
     geometry.cross_matrix(zero3, eye3)
     lie.rpy_jacobian(zero3)
     lie.matrix_from_quaternion(lie.quaternion_from_matrix(lie.matrix_from_rpy(lie.rpy_from_matrix(eye3))))
-    chi2.ppf(0.5, 3)
     solve_triangular(eye3, eye3)
     swept.swept_area([(eye3, zero3, np.array([1.0, 2.0, 1.0, 2.0]))], np.zeros(2), 1.0)

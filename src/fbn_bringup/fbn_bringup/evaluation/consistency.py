@@ -13,9 +13,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from fbn_bringup.evaluation.series import Innovations, Stamps
+from fbn_common import chi_square
 from fbn_common.records import Verdict
 from fbn_common.types import Array
 
@@ -38,11 +38,6 @@ class Consistency:
         return self.low <= self.ratio <= self.high
 
 
-def chi2_bound(probability: float, dof: float | Array) -> Array:
-    """The value that a chi-square variable stays under with this probability."""
-    return np.asarray(chdtri(dof, 1.0 - probability))
-
-
 def consistency(name: str, squares: Array, dof: int | Array | Stamps) -> Consistency | None:
     """Statistics of normalised squares (n,) with their degrees of freedom; None without finite samples."""
     degrees = np.broadcast_to(np.asarray(dof, dtype=float), squares.shape)
@@ -51,8 +46,8 @@ def consistency(name: str, squares: Array, dof: int | Array | Stamps) -> Consist
     if not len(squares):
         return None
     total = float(degrees.sum())
-    low, high = (float(chi2_bound(p, total)) / total for p in (0.025, 0.975))
-    inside = float(np.mean(squares <= chi2_bound(0.95, degrees)))
+    low, high = (float(chi_square.bound(p, total)) / total for p in (0.025, 0.975))
+    inside = float(np.mean(squares <= chi_square.bound(0.95, degrees)))
     return Consistency(name, len(squares), total / len(squares), float(squares.sum()) / total, low, high, inside)
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from fbn_bringup.evaluation.consistency import chi2_bound
 from fbn_bringup.evaluation.run import Run
 from fbn_bringup.evaluation.series import Innovations, Stamps
 from fbn_bringup.report import layers as ly
 from fbn_bringup.report import style as st
 from fbn_bringup.report.canvas import legend_above, quiet_titles, rounded, shade_dives, styled
+from fbn_common import chi_square
 from fbn_common import records as r
 from fbn_common.types import Array
 
@@ -94,7 +94,7 @@ def _add_nis(figure: go.Figure, time: Array, table: Innovations, some: Stamps, r
     figure.add_trace(dots, row, 2)
     dof = ly.usual_dof(table)
     if dof:
-        bound = float(chi2_bound(0.95, dof))
+        bound = float(chi_square.bound(0.95, dof))
         figure.add_hline(y=bound, line=dict(color=st.INK, width=1, dash="dash"), row=row, col=2)
     figure.update_yaxes(type="log", row=row, col=2)
 

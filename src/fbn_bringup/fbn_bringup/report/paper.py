@@ -11,13 +11,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fbn_bringup.evaluation.consistency import chi2_bound
 from fbn_bringup.evaluation.evaluate import ErrorTracks
 from fbn_bringup.evaluation.run import Run
 from fbn_bringup.evaluation.series import Innovations
 from fbn_bringup.report import layers as ly
 from fbn_bringup.report import style as st
 from fbn_bringup.report.overlay import Overlay, hypothesis_lines, overlays
+from fbn_common import chi_square
 from fbn_common.records import Verdict
 
 RC: Final[Any] = {
@@ -172,7 +172,9 @@ def _nis(axes: Axes, run: Run, table: Innovations) -> None:
         mine = some[table.verdict[some] == verdict]
         if len(mine):
             axes.plot(time[mine], values[mine], ".", ms=2, color=st.VERDICTS[verdict.name], label=verdict.name.lower())
-    axes.axhline(float(chi2_bound(0.95, ly.usual_dof(table))), color=st.INK, lw=0.8, ls="--", label="95 % bound of NIS")
+    axes.axhline(
+        float(chi_square.bound(0.95, ly.usual_dof(table))), color=st.INK, lw=0.8, ls="--", label="95 % bound of NIS"
+    )
     axes.set(title=f"{table.node}: {table.sensor}", yscale="log", ylabel="NIS")
 
 

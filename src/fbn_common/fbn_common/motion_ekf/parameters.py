@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fbn_common import chi_square
 from fbn_common.motion_ekf.layout import Config, Kind
 from fbn_common.parameters import ParameterError, group, param
 from fbn_common.types import Array
@@ -113,11 +114,9 @@ def ring_sizes(length_s: float, snapshot_ns: int) -> int:
 
 def quantile_table(probabilities: dict[Kind, float]) -> Array:
     """NIS gates (4, kinds) by degrees of freedom, from the probability to gate a good measurement."""
-    from scipy.stats import chi2  # slow to import, needed once
-
     table = np.full((4, len(Kind)), np.inf)
     for kind, probability in probabilities.items():
-        table[1:, kind] = chi2.ppf(1.0 - probability, np.arange(1, 4))
+        table[1:, kind] = [chi_square.bound_of_tail(probability, dof) for dof in (1, 2, 3)]
     return table
 
 
