@@ -13,7 +13,7 @@ from fbn_bringup.rundir import Meter, ReplayError
 from fbn_common.graph import Graph
 from fbn_ros.bag import BagReader, BagWriter
 from fbn_ros.lockstep import Due, StepGate
-from fbn_ros.progress import FIRST_STEP, PLAYER, PROGRESS, REPORT, from_bytes, progress, to_bytes
+from fbn_ros.progress import FIRST_STEP, PLAYER, REPORT, from_bytes, progress, progress_topic, to_bytes
 from fbn_ros.station import Station
 
 WINDOW = 4  # steps that a node may be behind: enough to keep two cores busy
@@ -39,8 +39,10 @@ class LockStepPlayer(Player):
         self._steps: deque[Step] = deque()  # played, not yet written
         self._meter: Meter | None = None
         super().__init__(station, graph, reader, writer, inputs, check)
-        station.offer(PROGRESS)
-        station.listen(PROGRESS, self._on_progress)
+        self._progress = progress_topic(PLAYER)
+        station.offer(self._progress)
+        for node in graph.nodes:
+            station.listen(progress_topic(node.name), self._on_progress)
 
     def wait_for_nodes(self) -> None:
         """Nothing to wait for: whoever comes later gets what was sent before, and the first steps wait for all."""
@@ -59,7 +61,7 @@ class LockStepPlayer(Player):
         """The nodes' health at the very end, for the summary."""
         self.health.clear()
         told = progress(PLAYER, REPORT, self.reader.end_ns, (), {})
-        self.station.say(PROGRESS.name, to_bytes(told))
+        self.station.say(self._progress.name, to_bytes(told))
         names = {node.name for node in self.graph.nodes}
         self.spin_until(lambda: names <= self.health.keys(), STEP_LIMIT_S, self._silent)
 
@@ -76,7 +78,7 @@ class LockStepPlayer(Player):
         self._steps.append(content)
         told = progress(PLAYER, step, content.end_ns, self.graph.external_inputs(), self.played)
         self._gate.promise(told)
-        self.station.say(PROGRESS.name, to_bytes(told))
+        self.station.say(self._progress.name, to_bytes(told))
 
     def _wait_for(self, step: int) -> None:
         while self._written < step:
@@ -102,10 +104,8 @@ class LockStepPlayer(Player):
         self._write_due()
 
     def _on_progress(self, data: bytes) -> None:
-        told = from_bytes(data)
-        if told.node != PLAYER:
-            self._gate.promise(told)
-            self._write_due()
+        self._gate.promise(from_bytes(data))
+        self._write_due()
 
     def _write_due(self) -> None:
         while (due := self._gate.due()) is not None:

@@ -16,7 +16,7 @@ import yaml
 
 from fbn_bringup import rundir
 from fbn_bringup.configuration import Parameters, load_parameters, node_files
-from fbn_bringup.environment import adopt, node_environment, private_domain
+from fbn_bringup.environment import adopt, node_environment, private_domain, undisturbed
 from fbn_bringup.lockstep_player import LockStepPlayer
 from fbn_bringup.paced_player import PacedPlayer
 from fbn_bringup.player import Player
@@ -81,6 +81,8 @@ def _nodes(
 ) -> Iterator[Supervisor]:
     """The graph's nodes, running; in lock step on a domain of their own."""
     with ExitStack() as stack:
+        if lock_step:
+            stack.enter_context(undisturbed())
         domain = stack.enter_context(private_domain()) if lock_step else None
         environment = node_environment(domain_id=domain)
         adopt(environment)

@@ -23,7 +23,7 @@ from fbn_ros.host import Host
 
 STEP_S = 0.2  # s of log time: long against the cost of a round over DDS, short against anything that is fed back
 
-OVERHEAD_TOPICS = frozenset({"clock", "diagnostics", "replay/progress", "rosout", "parameter_events"})
+OVERHEAD_TOPICS = frozenset({"clock", "diagnostics", "rosout", "parameter_events"})
 
 
 class ReplayError(RuntimeError):
@@ -201,7 +201,7 @@ def inputs_of(reader: BagReader, graph: Graph) -> frozenset[str]:
 def without_outputs(reader: BagReader, graph: Graph) -> Iterator[tuple[int, str, bytes]]:
     """The log's messages that go into the run's bag: all but what the graph makes anew and what only a replay needs."""
     own = {topic for node in graph.nodes for topic in node.outputs} | OVERHEAD_TOPICS
-    return reader.raw([topic for topic in reader.topics if topic not in own])
+    return reader.raw([topic for topic in reader.topics if topic not in own and not topic.startswith("replay/")])
 
 
 def _listed(reader: BagReader) -> str:

@@ -6,9 +6,10 @@ import re
 import struct
 from typing import Any, Protocol, TypeVar
 
-from fbn_common.records import Record
+from fbn_common.records import Innovation, Record
+from fbn_ros import innovations
 from fbn_ros.conversion import Conversion, ConversionError, MessageFactory
-from fbn_ros.flat import Flat, flat
+from fbn_ros.flat import flat
 
 R = TypeVar("R", bound=Record)
 
@@ -31,19 +32,27 @@ class Serialiser(Protocol):
     def read(self, data: bytes, ros_type: str) -> Any: ...
 
 
+class Quick(Protocol):
+    """Serialising and reading one record type without a message; None says that these bytes need the slow way."""
+
+    def encode(self, record: Any) -> bytes: ...
+
+    def decode(self, data: bytes) -> Record | None: ...
+
+
 class Cdr:
     """Serialised messages (CDR, little endian) of records; by rosbags unless another serialiser is given."""
 
     def __init__(self, serialiser: Serialiser | None = None) -> None:
         self.serialiser = serialiser or _of_rosbags()
         self.conversion = Conversion(self.serialiser.factory)
-        self._flat: dict[type, Flat | None] = {}
+        self._quick_ways: dict[type, Quick | None] = {Innovation: innovations}
         self._narrow: dict[str, bool] = {}
         self._errors: tuple[type[BaseException], ...] = (*_BROKEN, *self.serialiser.errors)
 
     def encode(self, record: Record) -> bytes:
         """The bytes of the record's message."""
-        quick = self._quick(type(record))
+        quick = self.quick(type(record))
         if quick is not None:
             return quick.encode(record)
         return self.serialiser.write(self.conversion.to_message(record), record.ros_type)
@@ -53,12 +62,12 @@ class Cdr:
 
         (The bytes that rclpy makes of a message by itself may have a tail of no meaning.)
         """
-        quick = self._quick(type(record))
+        quick = self.quick(type(record))
         return self.conversion.to_message(record) if quick is None else quick.encode(record)
 
     def decode(self, topic: str, record_type: type[R], data: bytes) -> R:
         """The record in a message's bytes, checked; raises ConversionError, also for bytes that are no such message."""
-        quick = self._quick(record_type)
+        quick = self.quick(record_type)
         record = None if quick is None else quick.decode(data)
         if record is not None:
             return record  # type: ignore[return-value]
@@ -77,10 +86,11 @@ class Cdr:
             return record
         return self.decode(record.ros_type, type(record), self.encode(record))
 
-    def _quick(self, kind: type[Record]) -> Flat | None:
-        if kind not in self._flat:
-            self._flat[kind] = flat(kind, self.serialiser.factory.field_types)
-        return self._flat[kind]
+    def quick(self, kind: type[Record]) -> Quick | None:
+        """The way without a message, for a type that has one."""
+        if kind not in self._quick_ways:
+            self._quick_ways[kind] = flat(kind, self.serialiser.factory.field_types)
+        return self._quick_ways[kind]
 
     def _narrows(self, ros_type: str) -> bool:
         """Whether a type holds single-precision numbers, itself or in a part."""

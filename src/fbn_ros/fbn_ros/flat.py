@@ -18,11 +18,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fbn_common.records import Odometry, Pose, PoseWithCovarianceStamped, Record
+from fbn_common.records import FluidPressure, Imu, Odometry, Pose, PoseWithCovarianceStamped, Record
 from fbn_common.types import NS, Array
-from fbn_ros.validation import NORM_TOLERANCE, QUATERNIONS, is_covariance
+from fbn_ros.conversion import Malformed
+from fbn_ros.primitives import PREFIX
+from fbn_ros.validation import NORM_TOLERANCE, QUATERNIONS, check, has_rules, is_covariance
 
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _TIME, _LENGTH = struct.Struct("<iI"), struct.Struct("<I")
 _NUMBERS = re.compile(r"double(?:\[(\d+)\])?")
 _POSE = "geometry_msgs/Pose"
@@ -45,6 +46,7 @@ class Flat:
     def __init__(self, kind: type[Any], lead: list[tuple[str, str]], runs: list[Run]) -> None:
         self.kind, self._lead, self._runs = kind, lead, runs
         self._count = runs[-1].stop
+        self._ruled = has_rules(kind)  # something may be absent: judged by its own rules
         self._framed = "frame_id" in {f.name for f in dataclasses.fields(kind)}
         quaternions = [r.start + r.shape[0] - 4 for r in runs if r.name in QUATERNIONS or r.shape == (7,)]
         self._quaternions = quaternions
@@ -57,7 +59,7 @@ class Flat:
         """The bytes of the record's message."""
         frame = record.frame_id.encode() if self._framed else b""
         sec, nanosec = divmod(record.stamp_ns, NS)
-        head = bytearray(_LITTLE_ENDIAN + _TIME.pack(sec, nanosec) + _LENGTH.pack(len(frame) + 1) + frame + b"\0")
+        head = bytearray(PREFIX + _TIME.pack(sec, nanosec) + _LENGTH.pack(len(frame) + 1) + frame + b"\0")
         for name, what in self._lead:
             head += b"\0" * (-len(head) % 4)
             if what == "time":
@@ -84,7 +86,7 @@ class Flat:
             numbers = np.frombuffer(data, "<f8", self._count, position).copy()
         except (struct.error, ValueError, IndexError):
             return None
-        if not self._usable(numbers):
+        if not self._ruled and not self._usable(numbers):
             return None
         for name, start, stop, shape in self._runs:
             if shape == (7,):
@@ -93,11 +95,12 @@ class Flat:
                 values[name] = numbers[start:stop].reshape(shape)
             else:
                 values[name] = numbers[start:stop] if shape else float(numbers[start])
-        return typing.cast(Record, self.kind(**values))
+        record = self.kind(**values)
+        return typing.cast(Record, record) if not self._ruled or _passes(record) else None
 
     def _decode_lead(self, data: bytes) -> tuple[dict[str, Any], int]:
         """Header, times and names; and where the numbers begin."""
-        if data[:4] != _LITTLE_ENDIAN:
+        if data[:4] != PREFIX:
             raise ValueError
         values: dict[str, Any] = {"stamp_ns": _time(data, 4)}
         frame_id, position = _text(data, 12)
@@ -124,6 +127,14 @@ class Flat:
         return True
 
 
+def _passes(record: Any) -> bool:
+    try:
+        check(record)
+    except Malformed:
+        return False
+    return True
+
+
 def _time(data: bytes, position: int) -> int:
     sec, nanosec = _TIME.unpack_from(data, position)
     if nanosec >= NS:
@@ -148,6 +159,18 @@ _STANDARD: dict[type, tuple[list[tuple[str, str]], list[tuple[str, tuple[int, ..
         [("pose", (7,)), ("pose_covariance", (6, 6)), ("twist", (6,)), ("twist_covariance", (6, 6))],
     ),
     PoseWithCovarianceStamped: ([], [("pose", (7,)), ("covariance", (6, 6))]),
+    FluidPressure: ([], [("fluid_pressure", ()), ("variance", ())]),
+    Imu: (
+        [],
+        [
+            ("orientation", (4,)),
+            ("orientation_covariance", (3, 3)),
+            ("angular_velocity", (3,)),
+            ("angular_velocity_covariance", (3, 3)),
+            ("linear_acceleration", (3,)),
+            ("linear_acceleration_covariance", (3, 3)),
+        ],
+    ),
 }
 
 

@@ -52,11 +52,16 @@ class StepGate:
         self._publishers = publishers
         self._queues: dict[str, deque[Any]] = {t: deque() for t in self._lag}
         self._taken: Counter[str] = Counter()
-        self._heeded = {PLAYER, *(publishers[t] for t in self._lag if t in publishers)}
-        self._promises: dict[str, dict[int, Promise]] = {name: {} for name in self._heeded}
+        heeded = dict.fromkeys((PLAYER, *(publishers[t] for t in self._lag if t in publishers)))
+        self._promises: dict[str, dict[int, Promise]] = {name: {} for name in heeded}
         self._played: frozenset[str] = frozenset()
         self._short = 0  # messages that the topic looked at last still lacks
         self._short_topic = ""
+
+    @property
+    def heeded(self) -> tuple[str, ...]:
+        """Whose progress matters here."""
+        return tuple(self._promises)
 
     def add(self, topic: str, message: Any) -> None:
         """A message has come."""
@@ -66,7 +71,7 @@ class StepGate:
 
     def promise(self, progress: NodeProgress) -> None:
         """A publisher has told how many it has sent; who publishes nothing for us is not heeded."""
-        if progress.node not in self._heeded:
+        if progress.node not in self._promises:
             return
         counts = {c.topic: c.count for c in progress.published}
         self._promises[progress.node][progress.step] = Promise(progress.stamp_ns, counts)

@@ -30,7 +30,7 @@ from fbn_ros.diagnostics import diagnostic_array
 from fbn_ros.host import Host, resolve
 from fbn_ros.lockstep import Due, StepGate
 from fbn_ros.messages import RclpySerialiser
-from fbn_ros.progress import PROGRESS, REPORT, from_bytes, progress, to_bytes
+from fbn_ros.progress import REPORT, from_bytes, progress, progress_topic, to_bytes
 from fbn_ros.qos import profile
 from fbn_ros.ros_parameters import read_parameters
 from fbn_ros.spin import run_node
@@ -132,10 +132,11 @@ class EstimatorNode(RosNode):
             self._extras(topic, record)
 
     def _join_replay(self) -> None:
-        self._progress = self._create_publisher(PROGRESS)
-        message: Any = self._factory.message(PROGRESS.ros_type)
-        qos = profile(PROGRESS, lock_step=True)
-        self.create_subscription(message, PROGRESS.name, self._on_progress, qos, raw=True)
+        own = progress_topic(self.declared.name)
+        self._progress, qos = self._create_publisher(own), profile(own, lock_step=True)
+        message: Any = self._factory.message(own.ros_type)
+        for name in self._gate.heeded:
+            self.create_subscription(message, progress_topic(name).name, self._on_progress, qos, raw=True)
 
     def _on_progress(self, data: bytes) -> None:
         told = from_bytes(data)

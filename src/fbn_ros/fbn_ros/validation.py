@@ -30,6 +30,11 @@ def check(record: Any) -> None:
     _checks[kind](record)
 
 
+def has_rules(kind: type) -> bool:
+    """Whether records of this type have rules of their own, because something in them may be absent."""
+    return kind in _BY_HAND
+
+
 def finite_number(name: str, value: float) -> None:
     if not isfinite(value):
         raise Malformed(name, "a finite number", str(value))

@@ -23,7 +23,7 @@ from fbn_common.records import NodeProgress, Record
 from fbn_ros.conversion import Conversion
 from fbn_ros.messages import RclpyMessages
 from fbn_ros.node import EstimatorNode
-from fbn_ros.progress import FIRST_STEP, PLAYER, PROGRESS, progress
+from fbn_ros.progress import FIRST_STEP, PLAYER, progress, progress_topic
 from fbn_ros.qos import profile
 from fbn_ros.spin import make_executor, spin
 
@@ -80,10 +80,11 @@ class NodeHarness:
         for topic in self.declared.outputs:
             self._collect(topic)
         if self.lock_step:
-            message: Any = self._conversion.factory.message(PROGRESS.ros_type)
-            qos = profile(PROGRESS, lock_step=True)
-            self._publishers[PROGRESS.name] = self.tester.create_publisher(message, PROGRESS.name, qos)
-            self.tester.create_subscription(message, PROGRESS.name, self._on_progress, qos)
+            own, its = progress_topic(PLAYER), progress_topic(self.declared.name)
+            message: Any = self._conversion.factory.message(own.ros_type)
+            qos = profile(own, lock_step=True)
+            self._publishers[own.name] = self.tester.create_publisher(message, own.name, qos)
+            self.tester.create_subscription(message, its.name, self._on_progress, qos)
         for node in (self.node, self.tester):
             self.executor.add_node(node)
         self.spin_until(self._matched)
@@ -112,7 +113,7 @@ class NodeHarness:
         """In lock step: everything of the next step has been published; returns when the node has taken it."""
         self._step += 1
         told = progress(PLAYER, self._step, end_ns, self._publishers, self._played)
-        self._publishers[PROGRESS.name].publish(self._conversion.to_message(told))
+        self._publishers[progress_topic(PLAYER).name].publish(self._conversion.to_message(told))
         self.spin_until(lambda: self._done(self._step))
 
     def listen(self, topic: str, message: Any) -> None:
@@ -152,13 +153,13 @@ class NodeHarness:
             self._woken.set_result(None)
 
     def _on_progress(self, message: Any) -> None:
-        told = self._conversion.to_record(PROGRESS.name, NodeProgress, message)
-        if told.node != PLAYER:
-            self._hear(self.received[PROGRESS.name], told)
+        name = progress_topic(self.declared.name).name
+        self._hear(self.received[name], self._conversion.to_record(name, NodeProgress, message))
 
     def _done(self, step: int) -> bool:
         """Whether the node has taken the step, and all that it published in it is here."""
-        told = [p for p in self.received[PROGRESS.name] if isinstance(p, NodeProgress) and p.step == step]
+        heard = self.received[progress_topic(self.declared.name).name]
+        told = [p for p in heard if isinstance(p, NodeProgress) and p.step == step]
         return bool(told) and all(len(self.received[c.topic]) >= c.count for c in told[0].published)
 
     def _matched(self) -> bool:
