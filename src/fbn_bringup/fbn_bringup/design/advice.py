@@ -83,7 +83,8 @@ def _on_detections(case: Case, seen: Passage) -> Iterator[str]:
     elif seen.sigma_horizontal > par.sigma_horizontal or seen.sigma_vertical > par.sigma_vertical:
         yield (
             f"A passage places a target to {seen.sigma_horizontal:.2f} m horizontally and {seen.sigma_vertical:.2f} m "
-            f"in depth; a feature needs {par.sigma_horizontal:.2f} and {par.sigma_vertical:.2f}: ping faster or go slower."
+            f"in depth; a feature needs {par.sigma_horizontal:.2f} and {par.sigma_vertical:.2f}: "
+            "ping faster or go slower."
         )
     else:
         yield (
