@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import dataclasses
-import json
 import multiprocessing
 import os
 import time
@@ -12,7 +9,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.table import Table
@@ -22,6 +19,9 @@ from fbn_bringup.evaluation.run import NOT_KEPT, Item, Run, collect
 from fbn_bringup.ui import number, table
 from fbn_common import chi_square
 from fbn_common.records import Record
+
+if TYPE_CHECKING:
+    from fbn_bringup.campaign_journal import Journal
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +59,29 @@ MEASURES: dict[str, tuple[str, int, bool]] = {  # name: (unit, digits, is more w
 
 
 def run_campaign(
-    plan: Plan, seeds: Iterable[int], jobs: int | None = None, on_done: Callable[[int], None] = lambda n: None
+    plan: Plan,
+    seeds: Iterable[int],
+    jobs: int | None = None,
+    on_done: Callable[[int], None] = lambda n: None,
+    journal: Journal | None = None,
 ) -> list[Row]:
-    """All seeds, by seed; ``on_done`` is told how many are done."""
+    """All seeds, by seed; ``on_done`` is told how many are done.
+
+    With a journal each row is kept as soon as it is there, and seeds whose rows it holds are not run again.
+    """
     seeds = list(seeds)
-    jobs = min(jobs or os.cpu_count() or 1, len(seeds))
-    rows: list[Row] = []
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(run_seed, plan, seed) for seed in seeds]):
-            rows.append(future.result())
-            on_done(len(rows))
+    known = journal.rows() if journal else {}
+    rows = [known[seed] for seed in seeds if seed in known]
+    left = [seed for seed in seeds if seed not in known]
+    on_done(len(rows))
+    if left:
+        jobs = min(jobs or os.cpu_count() or 1, len(left))
+        with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+            for future in as_completed([pool.submit(run_seed, plan, seed) for seed in left]):
+                rows.append(future.result())
+                if journal:
+                    journal.keep(rows[-1])
+                on_done(len(rows))
     return sorted(rows, key=lambda r: r.seed)
 
 
@@ -200,30 +213,3 @@ def _band(s: Spread, rows: list[Row]) -> tuple[str, str]:
     dof = next((v for row in rows if (v := row.values.get(s.name.replace("nees", "dof", 1)))), 1.0) or 1.0
     low, high = (float(chi_square.bound(p, s.seeds * dof)) / (s.seeds * dof) for p in (0.025, 0.975))
     return f"{s.total / s.seeds:.2f}", f"{low:.2f}–{high:.2f}"
-
-
-def write(directory: Path, plan: Plan, rows: list[Row]) -> Path:
-    """Write ``rows.csv`` and ``summary.json``; gives the path of the rows."""
-    directory.mkdir(parents=True, exist_ok=True)
-    names = list(dict.fromkeys(name for row in rows for name in row.values))
-    target = directory / "rows.csv"
-    with target.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["seed", *names, "wall_s", "error"])
-        writer.writerows(
-            [row.seed, *(row.values.get(n) for n in names), f"{row.wall_s:.1f}", row.error] for row in rows
-        )
-    document: dict[str, Any] = {
-        "scenario": plan.scenario,
-        "settings": list(plan.settings),
-        "parameter_files": [str(p) for p in plan.parameter_files],
-        "seeds": [row.seed for row in rows],
-        "failed": {row.seed: row.error for row in rows if row.error},
-        "measures": {s.name: _finite(dataclasses.asdict(s)) for s in spreads(rows)},
-    }
-    (directory / "summary.json").write_text(json.dumps(document, indent=2))
-    return target
-
-
-def _finite(values: dict[str, Any]) -> dict[str, Any]:
-    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items() if k != "name"}

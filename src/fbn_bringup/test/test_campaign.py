@@ -1,11 +1,14 @@
-"""The main scenario over seeds that nothing was tuned on."""
+"""The main scenario over seeds that nothing was tuned on; and that a campaign goes on where it stopped."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fbn_bringup.campaign import Plan, run_campaign
+from fbn_bringup.campaign import Plan, Row, run_campaign
+from fbn_bringup.campaign_journal import Journal, JournalError
 
 
 @pytest.mark.campaign
@@ -18,3 +21,56 @@ def test_the_river_is_matched_on_nearly_every_dive_and_never_falsely() -> None:
     # the aim is 98 % of dives over 100 seeds; of 60 dives, 55 or fewer would speak against it (binomial, 1 %)
     assert total["dives_matched"] >= 0.98 * total["dives"] - 3.3
     assert np.median([row.values["on_map_median_m"] for row in rows]) <= 1.5
+
+
+NOWHERE = Plan("atlantis")  # no such scenario: a seed that is run ends at once, with an error
+
+
+def test_seeds_whose_rows_are_kept_are_not_run_again(tmp_path: Path) -> None:
+    journal, done = Journal(tmp_path, NOWHERE), []
+    journal.keep(Row(3, {"dives": 6.0, "target_median_m": None}, 1.5))
+    rows = run_campaign(NOWHERE, [3, 4], 1, done.append, Journal(tmp_path, NOWHERE))
+    assert [(row.seed, bool(row.error)) for row in rows] == [(3, False), (4, True)] and done == [1, 2]
+    assert rows[0] == Row(3, {"dives": 6.0, "target_median_m": None}, 1.5)
+
+
+def test_a_row_is_on_disk_when_its_seed_ends_and_one_that_failed_is_tried_again(tmp_path: Path) -> None:
+    on_disk: list[int] = []
+    path = tmp_path / "rows.jsonl"
+    run_campaign(
+        NOWHERE, [1, 2], 1, lambda _: on_disk.append(len(path.read_text().splitlines())), Journal(tmp_path, NOWHERE)
+    )
+    assert on_disk == [1, 2, 3]  # what was planned, and a line more after each seed
+    assert Journal(tmp_path, NOWHERE).rows() == {}
+
+
+def test_a_line_cut_off_by_a_crash_costs_that_row_alone(tmp_path: Path) -> None:
+    journal = Journal(tmp_path, NOWHERE)
+    for seed in (1, 2):
+        journal.keep(Row(seed, {"dives": 6.0}, 1.0))
+    whole = journal.path.read_text()
+    journal.path.write_text(whole[:-9])
+    assert list(journal.rows()) == [1]
+    journal.keep(Row(2, {"dives": 5.0}, 1.0))
+    assert {s: r.values["dives"] for s, r in journal.rows().items()} == {1: 6.0, 2: 5.0}
+
+
+def test_rows_of_other_settings_are_not_mixed_in(tmp_path: Path) -> None:
+    Journal(tmp_path, NOWHERE).keep(Row(1, {}, 1.0))
+    with pytest.raises(JournalError, match="--fresh"):
+        Journal(tmp_path, Plan("atlantis", (), ("global.method=JCBB",)))
+    vehicle = tmp_path / "vehicle.yaml"
+    vehicle.write_text("a: 1")
+    Journal(tmp_path / "v", Plan("atlantis", (vehicle,)))
+    vehicle.write_text("a: 2")
+    with pytest.raises(JournalError):
+        Journal(tmp_path / "v", Plan("atlantis", (vehicle,)))
+
+
+def test_the_command_goes_on_and_begins_anew_when_told(fbn, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    target = tmp_path / "c"
+    Journal(target, NOWHERE).keep(Row(0, {"dives": 6.0}, 1.0))
+    status, out, err = fbn("campaign", "atlantis", "--seeds", "0:1", "-o", target)
+    assert status == 0 and "1 of 1 seeds are there already" in err and "6" in out
+    status, _, err = fbn("campaign", "atlantis", "--seeds", "0:1", "-o", target, "--fresh", "--jobs", "1")
+    assert status == 1 and "atlantis" in err

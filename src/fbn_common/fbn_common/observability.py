@@ -80,24 +80,35 @@ class Motion:
             raise ParameterError("speed, turn_rate, acceleration must not be negative; the vehicle is in the water")
 
 
+def effects(
+    speed: float, turn_rate: float, acceleration: float, distance: float, duration: float
+) -> tuple[float, float, float, float, float, float]:
+    """How much the terms of N1 to N6 change range (four, m) and bearing (two, rad) of a target in ``duration`` [s].
+
+    The numbers are these of one ping, over wavelength and beam width; over a track's life they say which terms its
+    prediction needs.
+    """
+    half = 0.5 * duration**2
+    return (
+        speed * duration,
+        speed**2 * half / distance,
+        speed * turn_rate * half,
+        acceleration * half,
+        speed * duration / distance,
+        turn_rate * duration,
+    )
+
+
 def numbers(m: Motion) -> tuple[float, ...]:
     """N1 to N8.
 
     N1 range by speed; N2 to N4 range's second order by passing, turning, accelerating; N5, N6 bearing by passing and
     turning; N7, N8 range by waves, in deep water and over a bed.
     """
-    unit = m.wavelength * m.ping_rate
-    second = 2.0 * m.ping_rate * unit
-    return (
-        m.speed / unit,
-        m.speed**2 / (second * m.range_min),
-        m.speed * m.turn_rate / second,
-        m.acceleration / second,
-        m.speed * m.aperture / (m.range_min * unit),
-        m.turn_rate * m.aperture / unit,
-        m.wave.deep_speed(m.height) / unit,
-        m.wave.shallow_speed(m.height) / unit,
-    )
+    n1, n2, n3, n4, n5, n6 = effects(m.speed, m.turn_rate, m.acceleration, m.range_min, 1.0 / m.ping_rate)
+    beam, unit = m.wavelength / m.aperture, m.wavelength * m.ping_rate
+    by_range = tuple(n / m.wavelength for n in (n1, n2, n3, n4))
+    return (*by_range, n5 / beam, n6 / beam, m.wave.deep_speed(m.height) / unit, m.wave.shallow_speed(m.height) / unit)
 
 
 def thresholds(range_sigma: float, bearing_sigma: float, wavelength: float, aperture: float) -> tuple[float, ...]:

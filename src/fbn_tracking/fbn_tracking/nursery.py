@@ -11,6 +11,7 @@ from fbn_common import chi_square
 from fbn_common.types import NS, Array, Mat2, Mat3
 from fbn_tracking.infants import slack_covariance
 from fbn_tracking.modes import Surroundings, find_modes
+from fbn_tracking.motion_check import of_track
 from fbn_tracking.parameters import TrackingParameters
 from fbn_tracking.track import Detection, Look, Track
 from fbn_tracking.window import Window
@@ -52,9 +53,11 @@ class Nursery:
         self.infants.clear()
 
     def refresh(self, tracks: list[Track], around: Surroundings) -> None:
-        """Move tracks to their likeliest places, given the poses."""
+        """Move tracks to their likeliest places, given the poses; ask those that may graduate whether they move."""
         for track in tracks:
             track.modes = find_modes(track, around)
+            if track.memory is None and len(track.detections) >= self.parameters.infant.detections:
+                track.motion = of_track(track, around)
 
     def around(self, window: Window, drift_covariance: Mat3) -> Surroundings:
         """The poses as they now are."""
@@ -87,7 +90,7 @@ class Nursery:
             return False
         mode = track.modes[0]
         undecided = len(track.modes) > 1 and n < par.detections + par.patience and not expired
-        return not undecided and self.informed(mode.given_poses) and self.static(mode.static, n)
+        return not undecided and self.informed(mode.given_poses) and self.static(mode.static, n) and self.still(track)
 
     def informed(self, covariance: Mat3) -> bool:
         """Whether the information in the three Cartesian directions suffices (IROS 2007, III)."""
@@ -101,6 +104,13 @@ class Nursery:
         if not passed:
             self.counts["static_world_refusals"] += 1
         return passed
+
+    def still(self, track: Track) -> bool:
+        """Whether its echoes move as the vehicle's motion alone would move them."""
+        moving = track.motion is not None and track.motion.moving(self.parameters.infant.still_probability)
+        if moving:
+            self.counts["motion_refusals"] += 1
+        return not moving
 
     def _graduate(self, window: Window, track: Track) -> None:
         del self.infants[track.key]

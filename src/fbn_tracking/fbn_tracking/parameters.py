@@ -63,6 +63,7 @@ class InfantParameters:
     sigma_vertical: float = param(5.0, "m", "largest vertical sigma at graduation", "half lobe at 30 m")
     score: float = param(10.0, "-", "least log-likelihood ratio of target to clutter", "1 false in 22,000 candidates")
     static_probability: float = param(0.999, "-", "a static target passes the static-world test so often", "chi-square")
+    still_probability: float = param(0.99, "-", "a static target passes the motion check so often", "chi-square")
     patience: int = param(
         4, "-", "detections waited for more when both elevations are still likely", "half of detections"
     )

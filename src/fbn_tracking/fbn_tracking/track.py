@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import exp
+from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
@@ -16,6 +17,9 @@ from fbn_common.types import NS, Array, Mat3, Mat4, Vec3
 from fbn_tracking.factors import inverse, whitener
 from fbn_tracking.geometry import elevation_shape
 from fbn_tracking.parameters import FeatureParameters
+
+if TYPE_CHECKING:
+    from fbn_tracking.motion_check import MotionCheck
 
 _LEAST_VARIANCE = 1e-12  # m^2, rad^2: below it a covariance is not invertible in double precision
 
@@ -102,6 +106,7 @@ class Track:
     detections: list[Detection] = field(default_factory=list)  # in this window
     misses: list[Look] = field(default_factory=list)  # looks of this window that should have seen it and did not
     modes: list[Mode] = field(default_factory=list)  # likeliest first
+    motion: MotionCheck | None = None  # of an infant with enough detections
     memory: Memory | None = None
     graduated: bool = False  # its variable is in the graph
     retired: bool = False

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from fbn_common import lie
-from fbn_tracking import factors, gating, geometry, infants, swept
+from fbn_tracking import factors, gating, geometry, infants, motion_check, swept
 
 
 @cache
@@ -38,6 +38,8 @@ def warm_up() -> None:
     gating.pair_costs(zs, S, z[None])
     gating.beam_weights(point, R, p, np.stack((z, z)))
     infants.symmetric_inverse(np.eye(3))
+    times, looks = np.arange(4.0), (np.stack((eye3,) * 4), np.outer(np.arange(4.0), q), np.stack((z,) * 4))
+    motion_check.check_motion(times, *looks, np.zeros((4, 2)), np.eye(2))
     infants.normal_equations(x, R, p, t, np.stack((z, z)), np.eye(2), zero3, np.eye(3))
     geometry.cross_matrix(zero3, eye3)
     lie.rpy_jacobian(zero3)

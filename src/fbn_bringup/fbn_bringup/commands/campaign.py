@@ -14,6 +14,9 @@ HELP = """Simulate, navigate and evaluate a scenario over many seeds, in paralle
 A claim is over many seeds, with its spread and its worst, never one lucky run. Writes one row per seed to CSV, and
 the summary to JSON. A seed that fails is a row with its error, and the exit status is 1.
 
+Each row is kept when its seed ends: the same command again goes on where it stopped, and tries failed seeds again. Rows
+of other settings, files or code are not mixed in: choose another directory, or --fresh.
+
 Examples:
 
   fbn campaign charles_river_2006 --seeds 0:20
@@ -30,18 +33,26 @@ def campaign(
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
     params: o.Params = None,
     settings: o.Set = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Forget the rows that are there already.")] = False,
 ) -> None:
     from fbn_bringup import campaign as c
+    from fbn_bringup import campaign_journal as kept
     from fbn_bringup import ui
 
     numbers = _range(seeds)
     plan = c.Plan(scenario, o.parameter_files(params), tuple(settings or ()))
+    target = output or Path("out") / f"campaign_{Path(scenario).stem}"
+    if fresh:
+        (target / "rows.jsonl").unlink(missing_ok=True)
+    journal = kept.Journal(target, plan)
+    before = len(journal.rows().keys() & set(numbers))
+    if before:
+        ui.err.print(f"{before} of {len(numbers)} seeds are there already")
     with ui.progress(f"{scenario}: {len(numbers)} seeds") as advance:
         rows = c.run_campaign(
-            plan, numbers, jobs, lambda done: advance(done / len(numbers), f"{done} of {len(numbers)}")
+            plan, numbers, jobs, lambda done: advance(done / len(numbers), f"{done} of {len(numbers)}"), journal
         )
-    target = output or Path("out") / f"campaign_{Path(scenario).stem}"
-    written = c.write(target, plan, rows)
+    written = kept.write(target, plan, rows)
     for table in c.summary_tables(plan, rows):
         ui.out.print(table, "")
     for row in rows:

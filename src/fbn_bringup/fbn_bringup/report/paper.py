@@ -110,17 +110,23 @@ def errors(run: Run, tracks: ErrorTracks, path: Path) -> None:
     bands = ly.error_bands(run, tracks)
     if not bands:
         return
-    rows = (len(bands) + 1) // 2
     with mpl.rc_context(RC):
-        figure = Figure(figsize=(10.5, 0.9 + 1.55 * rows), layout="constrained")
-        grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
-        for axes, band in zip(grid.flat, bands, strict=False):
+        figure, panels = _two_columns(len(bands), 1.55)
+        for axes, band in zip(panels, bands, strict=True):
             _band(axes, run, band)
-        for axes in grid.flat[len(bands) :]:
-            axes.set_visible(False)
-        for axes in grid[-1]:
+        for axes in panels[-2:]:
             axes.set_xlabel("minutes since start")
         _save(figure, path)
+
+
+def _two_columns(count: int, inches: float) -> tuple[Figure, list[Axes]]:
+    """A figure of ``count`` panels in two columns over one time, each so high."""
+    rows = (count + 1) // 2
+    figure = Figure(figsize=(10.5, 0.9 + inches * rows), layout="constrained")
+    panels = list(figure.subplots(rows, 2, sharex=True, squeeze=False).flat)
+    for axes in panels[count:]:
+        axes.set_visible(False)
+    return figure, panels[:count]
 
 
 def _band(axes: Axes, run: Run, band: ly.Band) -> None:
@@ -153,15 +159,11 @@ def innovations(run: Run, tracks: ErrorTracks, path: Path) -> None:
     tables = [t for t in run.innovations if len(t.stamp_ns) and (t.dof > 0).any()]
     if not tables:
         return
-    rows = (len(tables) + 1) // 2
     with mpl.rc_context(RC):
-        figure = Figure(figsize=(10.5, 0.9 + 1.35 * rows), layout="constrained")
-        grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
-        for axes, table in zip(grid.flat, tables, strict=False):
+        figure, panels = _two_columns(len(tables), 1.35)
+        for axes, table in zip(panels, tables, strict=True):
             _nis(axes, run, table)
-        for axes in grid.flat[len(tables) :]:
-            axes.set_visible(False)
-        _one_legend(figure, tuple(grid.flat))
+        _one_legend(figure, tuple(panels))
         _save(figure, path)
 
 
