@@ -137,7 +137,7 @@ def test_a_step_taken_in_two_parts_is_the_whole_step(u: Array, a: float) -> None
     propagate(whole, p, log.rows, 1, 0.0, 1.0, 0.01, CONFIG)
     propagate(parts, q, log.rows, 1, 0.0, a, a * 0.01, CONFIG)
     propagate(parts, q, log.rows, 1, a, 1.0, (1 - a) * 0.01, CONFIG)
-    # second order of the step: its second part turned by the first's rotation, and the velocity's offset decayed by then
+    # second order of the step: its second part turned by the first's rotation, the velocity's offset decayed by then
     travel, turn = np.linalg.norm(error(start, whole)[:6].reshape(2, 3), axis=1)
     offset = np.linalg.norm(start[X_VELOCITY : X_VELOCITY + 6] - log.rows.mean[1, 6:12])
     np.testing.assert_allclose(

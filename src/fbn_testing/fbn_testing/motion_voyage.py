@@ -1,4 +1,4 @@
-"""The front half alone on a simulated transit: predict, dead reckoning and reference, without sonar, judged by truth."""
+"""The front half alone on a simulated transit: predict, dead reckoning, reference, without sonar, judged by truth."""
 
 from __future__ import annotations
 
