@@ -20,6 +20,7 @@ from fbn_common.types import Array, Mat3, Vec2, Vec3
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.gating import beam_weights
 from fbn_tracking.geometry import cartesian_jacobian, cross_matrix, finite_slope
+from fbn_tracking.heading import turned, turned_prior
 from fbn_tracking.modes import Surroundings, elevation_posterior, find_modes
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.solver import Solution, solve, square_root_covariance
@@ -191,9 +192,9 @@ def compose(part: Part, sequence: int, cell_size: float, frame_id: str) -> Compo
         features=tuple(_feature(track, part, looks, R, p) for track in part.tracks),
         swept=swept_area(list(zip(R, p, limits, strict=True)), part.base_xy, cell_size),
         mean=part.mean,
-        covariance=0.5 * (part.covariance + part.covariance.T),
+        covariance=turned(part.mean, 0.5 * (part.covariance + part.covariance.T), base.deviation),
         prior_mean=base.mean,
-        prior_covariance=base.covariance,
+        prior_covariance=turned_prior(base.covariance, base.deviation),
         base_odom=first.motion.pose,
         p2_odom=last.motion.pose,
     )

@@ -41,6 +41,7 @@ def warm_up() -> None:
     infants.normal_equations(x, R, p, t, np.stack((z, z)), np.eye(2), zero3, np.eye(3))
     geometry.cross_matrix(zero3, eye3)
     lie.rpy_jacobian(zero3)
+    lie.skew(zero3)
     lie.matrix_from_quaternion(lie.quaternion_from_matrix(lie.matrix_from_rpy(lie.rpy_from_matrix(eye3))))
     solve_triangular(eye3, eye3)
     swept.swept_area([(eye3, zero3, np.array([1.0, 2.0, 1.0, 2.0]))], np.zeros(2), 1.0)
