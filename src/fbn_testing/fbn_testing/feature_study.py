@@ -1,6 +1,7 @@
 """What the tracker finds, where, and how sure of it: over many simulated missions, by the truth.
 
 python -m fbn_testing.feature_study depth_of_features --seeds 0:50 --figure depth.png
+python -m fbn_testing.feature_study any_height --seeds 0:50
 python -m fbn_testing.feature_study charles_river_2006 --seeds 0:50
 python -m fbn_testing.feature_study clutter --seeds 0:50
 python -m fbn_testing.feature_study doppler_log --seeds 0:50
@@ -32,6 +33,8 @@ from fbn_testing.feature_runs import hear, track
 console = Console(highlight=False, width=150)
 CUBIC, LINEAR = {"feature.elevation": "cubic"}, {"feature.elevation": "linear"}
 COMPASS = ("hard_iron_min", "hard_iron_max", "soft_iron_min", "soft_iron_max", "mount_sigma", "drift_sigma")
+ROWS = ("left_near", "right_near", "left_far", "right_far")
+ANY_HEIGHT = {"world.height_scatter": 1.2, **{f"world.rows.{row}.height": 1.5 for row in ROWS}}  # 0 to 4 m
 CURRENT = {"sea.current_speed_min": 0.2, "sea.current_speed_max": 0.2}
 
 
@@ -44,6 +47,7 @@ class Study(NamedTuple):
 
 STUDIES = {
     "depth_of_features": Study("depth_of_features", {"cubic": ({}, CUBIC), "linear": ({}, LINEAR)}),
+    "any_height": Study("depth_of_features", {"cubic": (ANY_HEIGHT, CUBIC), "linear": (ANY_HEIGHT, LINEAR)}),
     "charles_river_2006": Study("charles_river_2006", {"cubic": ({}, CUBIC)}),
     "clutter": Study("depth_of_features", {"5 a ping": ({"sensors.sonar.clutter.noise": 2.5}, CUBIC)}),
     "doppler_log": Study("depth_of_features", {"0.2 m/s": (CURRENT, CUBIC)}),
@@ -131,7 +135,7 @@ def drift(verdicts: dict[str, list[Verdict]]) -> Table:
     for name, all_seeds in verdicts.items():
         seen = [v for v in all_seeds if v.moved]
         ways = [m for v in seen for m in v.moved]
-        ours, alone = np.abs([m.error for m in ways]), np.abs([m.alone for m in ways])
+        ours, alone = abs(np.array([m.error for m in ways])), abs(np.array([m.alone for m in ways]))
         length = np.array([m.distance for m in ways])
         made.add_row(
             name,

@@ -67,10 +67,12 @@ def marginalise(window: Window, last: int, slack: Array, feature: FeatureParamet
         solution = _solve(window, last, tracks, solution.values)
     poses = {i: solution.values.atPose3(pose_key(i)) for i in pings}
     around = Surroundings(poses, pings, slack, feature)
-    mean, covariance = reduce(solution, window.first, last, tracks)
-    for number, track in enumerate(tracks):
-        if feature.elevation == "cubic":
-            widen(mean, covariance, number, *elevation_posterior(track, theta_of(solution.values, track), around))
+    known = [
+        elevation_posterior(t, theta_of(solution.values, t), around) for t in tracks if feature.elevation == "cubic"
+    ]
+    mean, covariance = reduce(solution, window.first, last, tracks, [float(spread[2, 2]) for _, spread in known])
+    for number, (shift, spread) in enumerate(known):
+        widen(mean, covariance, number, shift, spread)
     return Part(window, pings, tracks, poses, mean, covariance)
 
 
@@ -118,8 +120,13 @@ def flip(values: gtsam.Values, track: Track, q: Array) -> bool:
     return True
 
 
-def reduce(solution: Solution, first: int, last: int, tracks: list[Track]) -> tuple[Array, Array]:
-    """Mean and covariance of a part's outputs, by the square root of the joint of the variables behind them."""
+def reduce(
+    solution: Solution, first: int, last: int, tracks: list[Track], heights: list[float] | None = None
+) -> tuple[Array, Array]:
+    """Mean and covariance of a part's outputs, by the square root of the joint of the variables behind them.
+
+    ``heights`` [m^2]: variance that elevation gives to each track's height, where more is known than the graph holds.
+    """
     values = solution.values
     indices = list(dict.fromkeys([first, last, *(t.anchor for t in tracks)]))
     keys = [*map(pose_key, indices), DRIFT, *(feature_key(t.key) for t in tracks)]
@@ -139,6 +146,8 @@ def reduce(solution: Solution, first: int, last: int, tracks: list[Track]) -> tu
         mean[rows], J[rows, at : at + 6], by_q = cartesian_feature(poses[track.anchor], track, q)
         by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt((root[f + 2] ** 2).sum())))
         J[rows, f : f + 3] = by_q
+        if heights:
+            root = narrowed(root, f + 2, heights[n] / max(by_q[2, 2] ** 2, 1e-12))
     mean[-3:], J[-3:, n_drift : n_drift + 3] = values.atPoint3(DRIFT), np.eye(3)
     for row in [4, 5, *(10 + 3 * n + axis for n in range(len(tracks)) for axis in (0, 1))]:
         axis = (row - 4) % 3 if row < 10 else (row - 10) % 3
@@ -146,6 +155,15 @@ def reduce(solution: Solution, first: int, last: int, tracks: list[Track]) -> tu
         J[row, base + 3 : base + 6] -= poses[first][axis, :3]
     S = J @ root
     return mean, S @ S.T
+
+
+def narrowed(root: Array, row: int, variance: float) -> Array:
+    """The root of a joint covariance in which one variable's variance is no more than this, as if it were measured."""
+    own = root[row]
+    square = float(own @ own)
+    if variance >= square:
+        return root
+    return np.asarray(root - np.outer(root @ own, own) * (1.0 - np.sqrt(variance / square)) / square)
 
 
 def pose_rows(T: Array) -> Array:
