@@ -23,8 +23,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track as progress
 from rich.table import Table
-from scipy.stats import chi2
 
+from fbn_bringup.evaluation.consistency import chi2_bound
 from fbn_common.types import Array
 from fbn_testing.feature_figures import Section, draw_sections
 from fbn_testing.feature_judge import Verdict, judge
@@ -135,13 +135,14 @@ def drift(verdicts: dict[str, list[Verdict]]) -> Table:
     for name, all_seeds in verdicts.items():
         seen = [v for v in all_seeds if v.moved]
         ways = [m for v in seen for m in v.moved]
-        ours, alone = abs(np.array([m.error for m in ways])), abs(np.array([m.alone for m in ways]))
+        ours, alone = np.abs(np.array([m.error for m in ways])), np.abs(np.array([m.alone for m in ways]))
         length = np.array([m.distance for m in ways])
+        share = [100.0 * float(np.median(np.hypot(e[:, 0], e[:, 1]) / length)) for e in (ours, alone)]
         made.add_row(
             name,
             *(cell for i in (0, 1) for cell in (f"{np.median(ours[:, i]):.2f}", f"{np.median(alone[:, i]):.2f}",
-                                                _spread(ours[:, i]))),
-            *(f"{100.0 * np.median(np.hypot(*e.T) / length):.1f}" for e in (ours, alone)),
+                                                _spread(np.asarray(ours[:, i], dtype=np.float64)))),
+            *(f"{percent:.1f}" for percent in share),
             _mean([[m.nees for m in v.moved] for v in seen]), _band(2, len(seen)), str(len(ways)),
         )  # fmt: skip
     return made
@@ -163,7 +164,7 @@ def _mean(by_seed: list[list[float]]) -> str:
 
 
 def _band(dof: int, seeds: int) -> str:
-    low, high = chi2.ppf([0.025, 0.975], dof * seeds) / (dof * seeds)
+    low, high = (float(chi2_bound(p, dof * seeds)) / (dof * seeds) for p in (0.025, 0.975))
     return f"{low:.2f} to {high:.2f}"
 
 

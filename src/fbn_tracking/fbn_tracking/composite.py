@@ -59,11 +59,11 @@ def marginalise(window: Window, last: int, slack: Array, feature: FeatureParamet
     """
     pings = {index: ping for index, ping in window.pings.items() if index <= last}
     tracks = [old_part(track, last) for track in window.features.values() if track.anchor <= last]
-    solution = _solve(window, last, tracks)
-    around = Surroundings({i: solution.values.atPose3(pose_key(i)) for i in pings}, pings, slack, feature)
-    modes = {track.key: find_modes(track, around) for track in tracks}
-    flipped = [t for t in tracks if flip(solution.values, t, modes[t.key][0].x[:3])]
-    if flipped:
+    values = part_values(window, last, tracks)
+    flip_unlikely(values, tracks, pings, slack, feature)
+    solution = _solve(window, last, tracks, values)
+    swung = [t for t in tracks if abs(theta_of(solution.values, t) - theta_of(values, t)) > _FLIPPED]
+    if flip_unlikely(solution.values, swung, pings, slack, feature):
         solution = _solve(window, last, tracks, solution.values)
     poses = {i: solution.values.atPose3(pose_key(i)) for i in pings}
     around = Surroundings(poses, pings, slack, feature)
@@ -100,14 +100,28 @@ def old_part(track: Track, last: int) -> Track:
     )
 
 
-def _solve(window: Window, last: int, tracks: list[Track], start: gtsam.Values | None = None) -> Solution:
-    values, source = gtsam.Values(), start or window.values
+def part_values(window: Window, last: int, tracks: list[Track]) -> gtsam.Values:
+    """The window's estimate of what belongs to the part."""
+    values, source = gtsam.Values(), window.values
     for index in (i for i in window.pings if i <= last):
         values.insert(pose_key(index), source.atPose3(pose_key(index)))
     values.insert(DRIFT, source.atPoint3(DRIFT))
     for track in tracks:
         values.insert(feature_key(track.key), source.atPoint3(feature_key(track.key)))
-    return solve(window.graph(last, curved=False), values, partial(theta_curvature, tracks))
+    return values
+
+
+def _solve(window: Window, last: int, tracks: list[Track], start: gtsam.Values) -> Solution:
+    return solve(window.graph(last, curved=False), start, partial(theta_curvature, tracks))
+
+
+def flip_unlikely(
+    values: gtsam.Values, tracks: list[Track], pings: dict[int, Ping], slack: Array, feature: FeatureParameters
+) -> bool:
+    """Move features to the likelier elevation, given these poses; whether any was moved."""
+    around = Surroundings({i: values.atPose3(pose_key(i)) for i in pings}, pings, slack, feature)
+    flipped = [flip(values, track, find_modes(track, around)[0].x[:3]) for track in tracks]
+    return any(flipped)
 
 
 def flip(values: gtsam.Values, track: Track, q: Array) -> bool:

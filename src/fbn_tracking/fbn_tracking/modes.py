@@ -154,14 +154,14 @@ def elevation_posterior(track: Track, theta: float, around: Surroundings) -> tup
     t = np.array([(d.stamp_ns - first.stamp_ns) / NS for d in detections])
     z = widened(detections, around)
     reach = _REACH * half_lobe(first)
-    thetas = np.concatenate((np.linspace(-reach, reach, _GRID), [theta]))
+    thetas = np.concatenate(([theta], np.linspace(-reach, reach, _GRID)))
     start = np.array([first.z[0], first.z[1], 0.0, 0.0, 0.0])
     energies, points = profile(thetas, start, R, p, t, z, symmetric_inverse(around.slack))
     cost = 0.5 * energies + misses_costs(track.misses, points, around) + place_costs(points, 0.0, track, around)
     if not np.isfinite(cost).all():
         return np.zeros(3), np.zeros((3, 3))
-    weights = np.exp(cost[:-1].min() - cost[:-1])
+    weights = np.exp(cost[1:].min() - cost[1:])
     weights /= weights.sum()
-    mean = weights @ points[:-1]
-    apart = points[:-1] - mean
-    return mean - points[-1], np.asarray(apart.T @ (weights[:, None] * apart))
+    mean = weights @ points[1:]
+    apart = points[1:] - mean
+    return mean - points[0], np.asarray(apart.T @ (weights[:, None] * apart))
