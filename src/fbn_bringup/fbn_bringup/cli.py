@@ -11,6 +11,7 @@ from fbn_bringup.commands import (
     campaign,
     check,
     demo,
+    design,
     docs,
     evaluate,
     evaluate_gps,
@@ -56,6 +57,7 @@ app.command("evaluate", rich_help_panel="Examine", help=reflowed(evaluate.HELP))
 app.command("evaluate-gps", rich_help_panel="Examine", help=reflowed(evaluate_gps.HELP))(evaluate_gps.evaluate_gps)
 app.command("report", rich_help_panel="Examine", help=reflowed(report.HELP))(report.report)
 app.command("params", rich_help_panel="Examine", help=reflowed(params.HELP))(params.params)
+app.command("design", rich_help_panel="Start here", help=reflowed(design.HELP))(design.design)
 app.command("sim", rich_help_panel="Simulate", help=reflowed(sim.HELP))(sim.sim)
 app.command("campaign", rich_help_panel="Simulate", help=reflowed(campaign.HELP))(campaign.campaign)
 app.command("docs", rich_help_panel="For developers", help=reflowed(docs.HELP))(docs.docs)

@@ -10,6 +10,7 @@ import yaml
 
 from fbn_common.graph import Graph, Node
 from fbn_common.parameters import ParameterError, flatten, load, read_yaml
+from fbn_common.sonar_file import beside
 from fbn_ros.host import resolve
 
 Parameters = dict[str, Any]  # node name -> instance of its parameter class
@@ -46,7 +47,7 @@ def node_files(parameters: Parameters) -> dict[str, Any]:
 def _load_node(node: Node, files: Sequence[Path], overrides: Mapping[str, Any]) -> Any:
     values: dict[str, Any] = {}
     for file in files:
-        values |= read_yaml(file, node.name)
+        values |= beside(read_yaml(file, node.name), file)
     try:
         return load(resolve(node.parameters), values | dict(overrides))
     except ParameterError as error:

@@ -16,8 +16,12 @@ def config_file(name: str | Path, folder: str = "") -> Path:
     for path in (Path(name), *(place / f"{name}.yaml" for place in places)):
         if path.is_file():
             return path
-    known = sorted({p.stem for place in places for p in place.glob("*.yaml")})
-    raise ParameterError(f"{name}: no such file; those that come along, by name: {', '.join(known) or 'none'}")
+    raise ParameterError(f"{name}: no such file; those that come along, by name: {', '.join(names(folder)) or 'none'}")
+
+
+def names(folder: str = "") -> list[str]:
+    """The names of the files there are in ``config/``, or a folder of it."""
+    return sorted({p.stem for place in (_source(), _installed()) for p in (place / folder).glob("*.yaml")})
 
 
 def _source() -> Path:

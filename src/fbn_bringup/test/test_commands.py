@@ -30,6 +30,7 @@ def test_help_names_every_command_and_teaches_by_example(fbn):
         "params",
         "demo",
         "campaign",
+        "design",
         "docs",
         "import",
     ):

@@ -8,6 +8,7 @@ import pytest
 
 from fbn_bringup.configuration import load_parameters, node_files
 from fbn_bringup.offline import run_offline, stamped, steps
+from fbn_common.graph import GRAPH
 from fbn_common.parameters import ParameterError
 from fbn_common.types import NS, nanoseconds
 from fbn_testing.fakes import FAKE_GRAPH, FakeParameters
@@ -83,3 +84,21 @@ def test_an_override_for_no_node_is_refused() -> None:
 def test_the_nodes_get_their_parameters_in_any_namespace() -> None:
     document = node_files(load_parameters(FAKE_GRAPH, (), {"global.gain": 0.25}))
     assert document["/**/fbn_global"] == {"ros__parameters": {"gain": 0.25, "names": ["a", "b"]}}
+
+
+def test_a_sonar_file_is_looked_for_beside_the_parameter_file_and_its_arrays_reach_the_node(tmp_path: Path) -> None:
+    sonar = "{name: A, about: a, frequency: 7.0e+5, aperture: 0.1, ping_rate: 5.0, arrays: {bow: {bearing_min: 1.0, "
+    sonar += "bearing_max: 2.0, range_min: 1.0, range_max: 50.0, lobe_width: 0.3, range_sigma: 0.05, "
+    (tmp_path / "mine.yaml").write_text(sonar + "bearing_sigma: 0.02, detection_probability: 0.5}}}")
+    vehicle = tmp_path / "vehicle.yaml"
+    vehicle.write_text("fbn_tracking: {ros__parameters: {head.sonar: mine.yaml, arrays.bow.range_max: 30.0}}")
+    loaded = load_parameters(GRAPH, (vehicle,))
+    (array,) = loaded["fbn_tracking"].arrays.values()
+    assert array.bearing_max == 2.0 and array.range_max == 30.0
+    given = node_files(loaded)["/**/fbn_tracking"]["ros__parameters"]
+    assert given["arrays.bow.bearing_max"] == 2.0 and given["head.sonar"] == str(tmp_path / "mine.yaml")
+
+
+def test_a_sonar_that_does_not_exist_is_refused_with_those_that_do(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="fbn_tracking: no sonar 'p900'; there are blueview_p450_130"):
+        load_parameters(GRAPH, (), {"tracking.head.sonar": "p900"})

@@ -56,7 +56,11 @@ class Description:
 
 
 def load(cls: type[T], values: Mapping[str, Any], prefix: str = "") -> T:
-    """An instance of ``cls`` from dotted names; unknown names, wrong types and failed checks raise ParameterError."""
+    """An instance of ``cls`` from dotted names; unknown names, wrong types and failed checks raise ParameterError.
+
+    A class whose values come from elsewhere too (a file it names) has a static ``prepared`` that gives all of them.
+    """
+    values = getattr(cls, "prepared", dict)(values)
     hints = typing.get_type_hints(cls)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     arguments: dict[str, Any] = {}

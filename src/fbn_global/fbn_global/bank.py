@@ -86,7 +86,7 @@ class Bank:
             self.rivals = self._jointly_compatible(field)
             return
         extended = [self._extend(self._in_reach(h, field), field) for h in self.rivals]
-        born = self._births(field, {frozenset(h.pairs) for h in extended})
+        born = self._births(field, {h.account for h in extended})
         scored = [self._scored(h, field) for h in (*extended, *born)]
         self._rank(self._distinct(scored))
 
@@ -113,11 +113,11 @@ class Bank:
         ]
 
     def _distinct(self, rivals: list[Hypothesis]) -> list[Hypothesis]:
-        """One hypothesis for each set of pairs, the oldest."""
-        first: dict[frozenset[tuple[int, int]], Hypothesis] = {}
-        for h in rivals:
-            first.setdefault(frozenset(h.pairs), h)
-        return list(first.values())
+        """One hypothesis for each account, the likeliest: twice the same would count its posterior twice."""
+        best: dict[frozenset[tuple[int, int]], Hypothesis] = {}
+        for h in sorted(rivals, key=lambda h: (-h.score.log_ratio, h.id)):
+            best.setdefault(h.account, h)
+        return list(best.values())
 
     # --- association ---------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ import yaml
 
 from fbn_common.graph import GRAPH
 from fbn_common.parameters import ParameterError, dotted, group, load, param
+from fbn_common.sonar_file import beside
 from fbn_sim.faults import Fault
 from fbn_sim.mission import Mission
 from fbn_sim.sea import Sea
@@ -91,7 +92,7 @@ def load_scenario(name_or_path: str | Path, overrides: Mapping[str, Any] | None 
         raise ParameterError(f"{name_or_path}: not readable as YAML: {error}") from error
     if not isinstance(document, Mapping):
         raise ParameterError(f"{name_or_path}: a scenario is a mapping, got {type(document).__name__}")
-    return load(Scenario, dotted(document) | dict(overrides or {}))
+    return load(Scenario, beside(dotted(document), Path(name_or_path)) | dict(overrides or {}))
 
 
 def _directory() -> Traversable:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from sim_cases import short_mission
 import fbn_sim
 from fbn_common.parameters import ParameterError
 from fbn_common.records import Record
+from fbn_common.sonar_file import load_sonar
 from fbn_common.types import Array
 from fbn_sim.motion import SimulationError
 from fbn_sim.scenario import load_scenario, scenario_names
@@ -148,3 +150,25 @@ def test_the_simulator_knows_nothing_of_the_estimators() -> None:
             elif isinstance(node, ast.ImportFrom) and node.module:
                 imported.add(node.module.split(".")[0])
     assert not imported & ESTIMATORS
+
+
+def test_a_scenario_fits_any_sonar_file_by_name_or_by_a_path_beside_it(tmp_path: Path) -> None:
+    """Arrays, and what the file says of the simulation, under what the scenario says itself."""
+    named = load_scenario("charles_river_2006", {"sensors.sonar.head.sonar": "blueview_p450_90"}).sensors.sonar
+    assert list(named.arrays) == ["sonar_left_2", "sonar_left", "sonar_right", "sonar_right_2"]
+    assert all(a.mount_xyz == (0.6, 0.0, 0.0) for a in named.arrays.values())
+    assert named.absorption == load_sonar("blueview_p450_90").simulation["absorption"]
+    (tmp_path / "mine.yaml").write_text(
+        resources.files("fbn_common").joinpath("data/sonars/generic_forward_looking.yaml").read_text()
+    )
+    (tmp_path / "scenario.yaml").write_text(
+        "sensors: {sonar: {head: {sonar: mine.yaml}, level: 20.0}}\nmission: {legs: {fix: {seconds: 9.0, speed: 0.0}}}"
+    )
+    beside = load_scenario(tmp_path / "scenario.yaml").sensors.sonar
+    assert list(beside.arrays) == ["sonar"] and beside.level == 20.0
+
+
+def test_all_arrays_of_a_wide_sonar_report() -> None:
+    wide = short_mission(1, (("sensors.sonar.head.sonar", "blueview_p900_130"),))
+    scans = [r for _, topic, r in wide.records() if topic == "sonar/detections"]
+    assert {s.frame_id for s in scans} == set(load_sonar("blueview_p900_130").arrays)

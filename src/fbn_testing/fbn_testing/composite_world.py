@@ -71,7 +71,7 @@ class Run:
 
     entries: list[tuple[str, Record]] = field(default_factory=list)
     prior: PriorMap = field(default_factory=lambda: PriorMap(()))
-    truth: dict[int, Array] = field(default_factory=dict)  # stamp -> true pose (6,) at composites' ends
+    truth: dict[int, Array] = field(default_factory=dict)  # stamp -> true pose (6,) at start and composites' ends
     key_feature: dict[int, int] = field(default_factory=dict)  # key -> true feature's number; -1 clutter
     datum: GeodeticPoint = DATUM
 
@@ -124,6 +124,7 @@ class World:
         prior_cov = np.diag([0.05**2, 0.01**2, 0.01**2, 0.03**2, *np.diag(self.stationary)])
         t0 = 100 * NS
         self._emit("reference/datum", Datum(t0, "map", DATUM.latitude, DATUM.longitude, DATUM.height))
+        self.run.truth[t0] = base
         self._odometry(t0, odom_xy, base)
         self._fix(t0, base[:2])
         for w in range((len(positions) - 1) // per):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
+from typing import Any
 
 from fbn_common.parameters import ParameterError, group, param
 from fbn_common.sonar import SonarArray
+from fbn_common.sonar_file import SonarHead, with_sonar_file
 
 _QUARTER_LOOK = 0.19635  # rad, 11.25 deg
 
@@ -84,6 +87,7 @@ class CompositeParameters:
 class TrackingParameters:
     """Everything the tracking filter can be told."""
 
+    head: SonarHead = group(SonarHead)
     arrays: dict[str, SonarArray] = group(blazed_array_pair)
     feature: FeatureParameters = group(FeatureParameters)
     infant: InfantParameters = group(InfantParameters)
@@ -98,6 +102,11 @@ class TrackingParameters:
         3.0, "s", "detections wait so long for their ping's motion", "late merges of 0.5 s, and reserve"
     )
     link_wait: float = param(1.0, "s", "a ping whose predecessor is missing waits so long for it", "as ping_wait")
+
+    @staticmethod
+    def prepared(values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """With the arrays of the sonar file that ``head.sonar`` names."""
+        return with_sonar_file(values)
 
     def __post_init__(self) -> None:
         if not self.arrays:

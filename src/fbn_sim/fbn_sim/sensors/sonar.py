@@ -7,8 +7,10 @@ the lobe.  Beside the features echo patches of the bed, fish and bubbles, and th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from fbn_common.lie import so3_exp
 from fbn_common.parameters import group, param
 from fbn_common.records import SonarDetection, SonarDetections
 from fbn_common.sonar import SonarArray
+from fbn_common.sonar_file import SonarHead, load_sonar, with_sonar_file
 from fbn_common.types import Array, Mat3, Vec3, Vec6
 from fbn_sim.kernels import cross, length, transposed_times
 from fbn_sim.motion import Motion, interpolate
@@ -33,6 +36,7 @@ class Sonar:
     """Transmission, noise and imperfections that all arrays share; the arrays are mounted as ``SonarArray`` tells."""
 
     timing: Timing = group(partial(Timing, 1.0, 0.15, 0.08, 0.005))
+    head: SonarHead = group(SonarHead)
     arrays: dict[str, SonarArray] = group(dict)
     clutter: Clutter = group(Clutter)
     level: float = param(
@@ -55,6 +59,12 @@ class Sonar:
     merge_range: float = param(0.25, "m", "echoes nearer to one another than this in range ...", "assumed")
     merge_bearing: float = param(0.03, "rad", "... and this in bearing melt into one", "1.7 deg")
     most: int = param(12, "-", "detections a ping and array at most, the strongest", "a fixed number of maxima")
+
+    @staticmethod
+    def prepared(values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """With what the sonar file that ``head.sonar`` names says of arrays and simulation."""
+        name = values.get("head.sonar")
+        return with_sonar_file((load_sonar(name).simulation if name else {}) | dict(values))
 
 
 @kernel
