@@ -1,6 +1,7 @@
 """What the tracker finds, where, and how sure of it: over many simulated missions, by the truth.
 
 python -m fbn_testing.feature_study depth_of_features --seeds 0:50 --figure depth.png
+python -m fbn_testing.feature_study any_height --seeds 0:50
 python -m fbn_testing.feature_study charles_river_2006 --seeds 0:50
 python -m fbn_testing.feature_study clutter --seeds 0:50
 python -m fbn_testing.feature_study doppler_log --seeds 0:50
@@ -22,8 +23,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track as progress
 from rich.table import Table
-from scipy.stats import chi2
 
+from fbn_bringup.evaluation.consistency import chi2_bound
 from fbn_common.types import Array
 from fbn_testing.feature_figures import Section, draw_sections
 from fbn_testing.feature_judge import Verdict, judge
@@ -32,6 +33,8 @@ from fbn_testing.feature_runs import hear, track
 console = Console(highlight=False, width=150)
 CUBIC, LINEAR = {"feature.elevation": "cubic"}, {"feature.elevation": "linear"}
 COMPASS = ("hard_iron_min", "hard_iron_max", "soft_iron_min", "soft_iron_max", "mount_sigma", "drift_sigma")
+ROWS = ("left_near", "right_near", "left_far", "right_far")
+ANY_HEIGHT = {"world.height_scatter": 1.2, **{f"world.rows.{row}.height": 1.5 for row in ROWS}}  # 0 to 4 m
 CURRENT = {"sea.current_speed_min": 0.2, "sea.current_speed_max": 0.2}
 
 
@@ -44,6 +47,7 @@ class Study(NamedTuple):
 
 STUDIES = {
     "depth_of_features": Study("depth_of_features", {"cubic": ({}, CUBIC), "linear": ({}, LINEAR)}),
+    "any_height": Study("depth_of_features", {"cubic": (ANY_HEIGHT, CUBIC), "linear": (ANY_HEIGHT, LINEAR)}),
     "charles_river_2006": Study("charles_river_2006", {"cubic": ({}, CUBIC)}),
     "clutter": Study("depth_of_features", {"5 a ping": ({"sensors.sonar.clutter.noise": 2.5}, CUBIC)}),
     "doppler_log": Study("depth_of_features", {"0.2 m/s": (CURRENT, CUBIC)}),
@@ -131,13 +135,14 @@ def drift(verdicts: dict[str, list[Verdict]]) -> Table:
     for name, all_seeds in verdicts.items():
         seen = [v for v in all_seeds if v.moved]
         ways = [m for v in seen for m in v.moved]
-        ours, alone = np.abs([m.error for m in ways]), np.abs([m.alone for m in ways])
+        ours, alone = np.abs(np.array([m.error for m in ways])), np.abs(np.array([m.alone for m in ways]))
         length = np.array([m.distance for m in ways])
+        share = [100.0 * float(np.median(np.hypot(e[:, 0], e[:, 1]) / length)) for e in (ours, alone)]
         made.add_row(
             name,
             *(cell for i in (0, 1) for cell in (f"{np.median(ours[:, i]):.2f}", f"{np.median(alone[:, i]):.2f}",
-                                                _spread(ours[:, i]))),
-            *(f"{100.0 * np.median(np.hypot(*e.T) / length):.1f}" for e in (ours, alone)),
+                                                _spread(np.asarray(ours[:, i], dtype=np.float64)))),
+            *(f"{percent:.1f}" for percent in share),
             _mean([[m.nees for m in v.moved] for v in seen]), _band(2, len(seen)), str(len(ways)),
         )  # fmt: skip
     return made
@@ -159,7 +164,7 @@ def _mean(by_seed: list[list[float]]) -> str:
 
 
 def _band(dof: int, seeds: int) -> str:
-    low, high = chi2.ppf([0.025, 0.975], dof * seeds) / (dof * seeds)
+    low, high = (float(chi2_bound(p, dof * seeds)) / (dof * seeds) for p in (0.025, 0.975))
     return f"{low:.2f} to {high:.2f}"
 
 

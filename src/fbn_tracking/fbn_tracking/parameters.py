@@ -39,15 +39,18 @@ class FeatureParameters:
     floor_margin: float = param(0.7, "m", "how far below the altimeter's floor an object may seem", "slope of the bed")
     surface_margin: float = param(0.3, "m", "how far above the surface an object may seem", "waves")
     below_odds: float = param(
-        2.0, "-", "odds that an object lies below the array before it is seen twice", "bottom targets"
+        2.0, "-", "odds that an object lies below the array, where no altimeter tells of the floor", "bottom targets"
+    )
+    height_scale: float = param(
+        1.5, "m", "half of all objects stand no higher over the floor; Cauchy beyond", "bottom targets, some moored"
     )
     mode_gap: float = param(4.6, "-", "log odds at which the unlikelier elevation is dropped", "1 in 100")
 
     def __post_init__(self) -> None:
         if self.elevation not in ("cubic", "linear"):
             raise ParameterError(f"feature.elevation: expected cubic or linear, got {self.elevation!r}")
-        if min(self.alpha, self.weak_theta_sigma, self.below_odds) <= 0.0:
-            raise ParameterError("feature.alpha, weak_theta_sigma and below_odds must be positive")
+        if min(self.alpha, self.weak_theta_sigma, self.below_odds, self.height_scale) <= 0.0:
+            raise ParameterError("feature.alpha, weak_theta_sigma, below_odds and height_scale must be positive")
 
 
 @dataclass(frozen=True, slots=True)

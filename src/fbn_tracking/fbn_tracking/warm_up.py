@@ -37,6 +37,7 @@ def warm_up() -> None:
     )
     gating.pair_costs(zs, S, z[None])
     gating.beam_weights(point, R, p, np.stack((z, z)))
+    gating.missed_costs(point[None], R, p, np.stack((z, z)), np.array([0.5, 0.5]))
     infants.symmetric_inverse(np.eye(3))
     infants.normal_equations(x, R, p, t, np.stack((z, z)), np.eye(2), zero3, np.eye(3))
     geometry.cross_matrix(zero3, eye3)
