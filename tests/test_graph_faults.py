@@ -25,6 +25,7 @@ from fbn_testing.faults import changed, with_field
 Log = list[Any]
 BAD_EVERY = 5  # of a sensor's messages, every so many is spoilt
 HOUR = 3600 * NS
+LOG_S = 45.0  # s, length of the log
 
 
 class Outcome:
@@ -104,7 +105,7 @@ def test_malformed_messages_are_refused_by_name_and_the_rest_is_used(
             node = host.node.name.removeprefix("fbn_")
             assert outcome.verdicts[node, topic, r.Verdict.REFUSED] >= bad
     assert outcome.total("deadreck", r.Verdict.USED) > 0.8 * good.total("deadreck", r.Verdict.USED)
-    assert_not_astray(outcome, good)
+    assert_not_astray(outcome, good, topic)
 
 
 JUMPS: dict[str, tuple[str, int]] = {
@@ -129,15 +130,20 @@ def test_stamps_that_jump_are_answered_and_the_rest_is_used(
     for node in takers:
         refused, before = (o.total(node, r.Verdict.REFUSED, r.Verdict.LATE) for o in (outcome, good))
         assert refused - before >= bad, (node, outcome.reasons)
-    assert_not_astray(outcome, good)
+    assert_not_astray(outcome, good, topic)
 
 
-def assert_not_astray(outcome: Outcome, good: Outcome) -> None:
-    """Each track ends where it does without the fault, within three of its own standard deviations in x and y."""
-    for topic in ("deadreck/odometry", "reference/odometry"):
-        away = (outcome.position(topic) - good.position(topic))[:2]
-        covariance = good.last[topic].pose_covariance[:2, :2]  # type: ignore[attr-defined]
-        assert away @ np.linalg.solve(covariance, away) < 9.0, topic
+def assert_not_astray(outcome: Outcome, good: Outcome, topic: str) -> None:
+    """Each track ends where it does without the fault: within half a metre of the thirty or so covered.
+
+    Without a fifth of the fixes another water velocity is learnt, but for one standard deviation: it acts all the time.
+    """
+    most = 0.5
+    if topic == "gps/fix":
+        learnt: Any = good.last["predict/parameters"]
+        most += LOG_S * float(np.sqrt(np.trace(learnt.covariance[12:14, 12:14])))
+    for track in ("deadreck/odometry", "reference/odometry"):
+        assert np.linalg.norm((outcome.position(track) - good.position(track))[:2]) < most, track
 
 
 ABSENT = {

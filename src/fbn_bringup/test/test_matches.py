@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from fbn_bringup.evaluation.evaluate import evaluate
 from fbn_bringup.evaluation.matches import identities, judge
 from fbn_bringup.evaluation.run import collect
 from fbn_common.records import TrackedFeatures
+from fbn_common.types import NS
 
 
 def test_every_dive_of_a_right_run_is_matched_and_right(story, tell, truth_of):
@@ -28,6 +31,26 @@ def test_one_wrong_pair_among_four_is_counted_but_does_not_make_the_match_false(
     s = story(wrong_pairs=1)
     result = evaluate(collect(tell(s), truth=truth_of(s)))
     assert result.matched == 3 and [d.matches.wrong for d in result.dives] == [1, 1, 1]
+
+
+def test_a_match_declared_by_a_dives_last_composite_counts_though_its_answer_comes_seconds_after_it(
+    story, tell, truth_of
+):
+    late = ("global/hypotheses", "global/status")  # of the first dive one answer, logged 4 s after what it answers
+    items, answers = [], [item for item in tell(story()) if item[1] in late]
+    first_dive_end = answers[0][2].stamp_ns + 60 * NS
+    last = max(item[2].stamp_ns for item in answers if item[2].stamp_ns < first_dive_end)
+    for log_ns, topic, record in tell(story()):
+        if topic in late and record.stamp_ns < first_dive_end:
+            if record.stamp_ns < last:
+                continue
+            log_ns += 4 * NS
+            record = replace(record, stamp_ns=log_ns) if topic == "global/status" else record
+        items.append((log_ns, topic, record))
+    result = evaluate(collect(sorted(items, key=lambda item: item[0]), truth=truth_of(story())))
+    assert result.dives[0].matches.declared and result.matched == 3
+    after_composite = (last - (result.dives[0].start_s * NS + items[0][0])) / NS
+    assert result.dives[0].matches.after_s == pytest.approx(after_composite + 4.0, abs=0.41)  # two samples of truth
 
 
 def test_identity_does_not_depend_on_dead_reckonings_drift(story, tell, truth_of):

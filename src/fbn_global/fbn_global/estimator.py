@@ -19,16 +19,15 @@ from fbn_global.bank import Bank
 from fbn_global.checks import refusal
 from fbn_global.composite_update import CompositeError, Snippet, inform_base, take_apart
 from fbn_global.field import Field, build_field
-from fbn_global.hypotheses import Hypothesis
 from fbn_global.odometry import Reckoned
 from fbn_global.outbox import Outbox
 from fbn_global.parameters import GlobalParameters
-from fbn_global.persistence import Saved, StateFileError, aged, fingerprint, load, save
 from fbn_global.reckoning import Reckoning, Step
 from fbn_global.reference_update import apply_fix
+from fbn_global.results import Results
 from fbn_global.state import LOCAL, restart, start
-from fbn_global.target import Target, blend, locate, target_row
-from fbn_global.verdict import Mode, Verdict, judge, modes
+from fbn_global.state_file import StateFile
+from fbn_global.verdict import Mode, Verdict
 from fbn_global.warm import warm_up
 
 _ORDER = {topic: k for k, topic in enumerate(GRAPH.node("fbn_global").inputs)}
@@ -56,9 +55,8 @@ class Global:
         self._waiting: list[ReferenceFix] = []
         self._field: Field | None = None
         self._datum: GeodeticPoint | None = None
-        self._verdict = Verdict()
-        self._modes: list[Mode] = []
-        self._status_ns: int | None = None
+        self._results = Results(self.p, self._out)
+        self._state_file = StateFile(self.p, self._out)
         if self.p.datum:
             self._set_datum(GeodeticPoint(*self.p.datum))
 
@@ -81,13 +79,28 @@ class Global:
         self._keep_status(now_ns)
         return self._out.empty()
 
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """The places on the map that the bank now names, the likeliest first."""
+        return self._results.modes
+
     def health(self) -> Health:
-        level = Level.WARN if self._verdict.state is Localization.LOST or not self._located else Level.OK
+        verdict = self._results.verdict
+        level = Level.WARN if verdict.state is Localization.LOST or not self._located else Level.OK
         values: dict[str, int | float | str] = {f"count {k}": v for k, v in sorted(self._out.counts.items())}
         if self._bank is not None:
             values |= {"hypotheses": len(self._bank.all), "state size": len(self._bank.best.state.mean)}
-        message = f"{self._verdict.state.name}: {self._verdict.reason}"
-        return Health(level, message, values | {"posterior": self._verdict.posterior})
+        return Health(level, f"{verdict.state.name}: {verdict.reason}", values | {"posterior": verdict.posterior})
+
+    def _publish_map(self, stamp_ns: int) -> None:
+        if self._datum is not None and self._bank is not None:
+            self._results.publish_map(self._bank, self._field, self._datum, stamp_ns)
+
+    def _keep_status(self, now_ns: int) -> None:
+        """Publish the status at least once a period, and when it changes."""
+        if self._bank is not None and self._results.status_due(now_ns):
+            target = self._results.target(self._bank, self._field, self._reckoning) if self._located else None
+            self._results.keep_status(self._bank, target, now_ns)
 
     # --- inputs --------------------------------------------------------------------------------------------
 
@@ -129,8 +142,8 @@ class Global:
             self._restore(self._begin(reckoned, odometry.pose_covariance), reckoned, odometry.pose_covariance)
         elif reckoning.start and odometry.stamp_ns - reckoning.start.stamp_ns > nanoseconds(_IDLE_S):
             self._move(reckoning.move_to(reckoned))
-        if self._located:
-            pose, covariance = reckoning.carried(self._leading().state, reckoned)
+        if self._located and self._bank is not None:
+            pose, covariance = reckoning.carried(self._results.leading(self._bank).state, reckoned)
             self._out.publish("global/odometry", publish.odometry_message(odometry, pose, covariance))
 
     def _odometry_restarts(self, latest: Reckoned, odometry: Odometry) -> None:
@@ -152,33 +165,11 @@ class Global:
         return self._bank
 
     def _restore(self, bank: Bank, reckoned: Reckoned, covariance: Array) -> None:
-        """Take up the state of before a restart, if there is one that fits; else say why not."""
-        path = Path(self.p.state_file)
-        if not self.p.state_file or not path.exists():
-            return
-        try:
-            saved = load(path)
-            if self._field is None or saved.fingerprint != fingerprint(self._field):
-                raise StateFileError(f"{path.name}: is about another map, or the datum is not known yet")
-            age_s = seconds(reckoned.stamp_ns - saved.stamp_ns)
-            if not 0.0 <= age_s <= self.p.state_age_s:
-                raise StateFileError(f"{path.name}: is {age_s:.0f} s old")
-        except StateFileError as error:
-            self._out.answer(reckoned.stamp_ns, "state_file", Answer.REFUSED, str(error))
-            return
-        speed = self.p.state_speed
-        bank.restore(tuple(aged(h, reckoned.pose, covariance, age_s, speed) for h in saved.hypotheses))
-        self._located = True
-        self._verdict = Verdict(reason=f"restored from {age_s:.0f} s ago")
-        self._out.answer(reckoned.stamp_ns, "state_file", Answer.USED, f"{age_s:.0f} s old")
-
-    def _save(self, bank: Bank, stamp_ns: int) -> None:
-        if not self.p.state_file or self._field is None or not self._located:
-            return
-        try:
-            save(Path(self.p.state_file), Saved(stamp_ns, fingerprint(self._field), bank.saved()))
-        except OSError as error:
-            self._out.answer(stamp_ns, "state_file", Answer.REFUSED, f"can't be written: {error}")
+        """Take up the state of before a restart, if there is one that fits."""
+        age_s = self._state_file.restore(bank, self._field, reckoned, covariance)
+        if age_s is not None:
+            self._located = True
+            self._results.verdict = Verdict(reason=f"restored from {age_s:.0f} s ago")
 
     def _move(self, step: Step) -> None:
         """One step of every hypothesis's state."""
@@ -204,14 +195,14 @@ class Global:
 
     def _apply_fix(self, fix: ReferenceFix, reckoned: Reckoned, bank: Bank) -> None:
         begin, tie = self._reckoning.tie(reckoned)
-        leading = self._leading().id
+        leading = self._results.leading(bank).id
         done = bank.take_fix(lambda state: apply_fix(state, begin, tie, fix.xy, fix.covariance, fix.marginal))[leading]
         answer = Answer.USED if done.used else Answer.REFUSED
         reason = "" if done.used else "no better than what is known: fixes share their errors"
         self._out.innovation(fix.stamp_ns, "reference_fix", answer, reason, done.innovation, done.sigma, done.nis, 2)
         if done.used:
             self._located = True
-            self._publish_pose()
+            self._results.publish_pose(bank, self._reckoning)
 
     # --- composites ----------------------------------------------------------------------------------------
 
@@ -229,11 +220,13 @@ class Global:
         nis, dof = bank.take_composite(snippet, self._field if self._located else None)
         self._reckoning.start = self._reckoning.at_end(stamp_ns, composite.p2_odom)
         self._out.innovation(stamp_ns, "composite", Answer.USED, "", np.zeros(0), np.zeros(0), nis, dof)
-        self._judge(bank, stamp_ns)
-        self._save(bank, stamp_ns)
+        if self._located:
+            self._results.judge(bank, self._field, stamp_ns)
+            self._state_file.save(bank, self._field, stamp_ns)
         self._out.publish("global/hypotheses", publish.hypotheses_message(stamp_ns, bank, self._field))
         self._publish_map(stamp_ns)
-        self._publish_pose()
+        if self._located:
+            self._results.publish_pose(bank, self._reckoning)
 
     def _bring_to_base(self, snippet: Snippet) -> tuple[Bank, Snippet]:
         """Brings the states' pose to the composite's base, bridging what was lost; gives what is to be used."""
@@ -266,58 +259,3 @@ class Global:
         self._out.innovation(c.stamp_ns, "composite", Answer.GATED, reason, np.zeros(0), np.zeros(0), nis, dof)
         self._move(self._reckoning.move_to(self._reckoning.at_end(c.stamp_ns, c.p2_odom)))
         return True
-
-    # --- results -------------------------------------------------------------------------------------------
-
-    def _leading(self) -> Hypothesis:
-        """Whose pose is published: the best of the declared match, else the null's."""
-        assert self._bank is not None
-        if self._verdict.matched and self._modes:
-            wanted = self._modes[0].best.id
-            return next((h for h in self._bank.rivals if h.id == wanted), self._bank.null)
-        return self._bank.null
-
-    def _judge(self, bank: Bank, stamp_ns: int) -> None:
-        if not self._located:
-            return
-        if self._field is None or not len(self._field.features):
-            self._verdict = Verdict(reason="no prior map")
-            return
-        before = self._verdict.state
-        self._modes = modes(bank, self._field, self.p.verdict.mode_radius)
-        self._verdict = judge(self._verdict, self._modes, bank.null.score.posterior, stamp_ns, self.p.verdict)
-        if self._verdict.state is not before:
-            self._status_ns = None
-
-    def _publish_pose(self) -> None:
-        end = self._reckoning.now
-        if self._located and end is not None:
-            pose, covariance = self._reckoning.carried(self._leading().state, end)
-            self._out.publish("global/pose", publish.pose_message(end.stamp_ns, pose, covariance))
-
-    def _publish_map(self, stamp_ns: int) -> None:
-        if self._datum is not None and self._bank is not None:
-            message = publish.map_message(
-                stamp_ns, self._leading(), self._field, self._bank.memory, self._datum, self.p.scoring
-            )
-            self._out.publish("global/map", message)
-
-    def _keep_status(self, now_ns: int) -> None:
-        """Publish the status at least once a period, and when it changes."""
-        due = self._status_ns is None or now_ns - self._status_ns >= nanoseconds(self.p.status_period_s)
-        if due and self._bank is not None:
-            self._status_ns = now_ns
-            target = self._target(self._bank) if self._located else None
-            self._out.publish("global/status", publish.status_message(now_ns, self._verdict, self._leading(), target))
-
-    def _target(self, bank: Bank) -> Target | None:
-        """The target as the leading hypothesis has it, with the spread over the others."""
-        field, end = self._field, self._reckoning.now
-        row = target_row(field) if field is not None else None
-        if row is None or end is None or field is None:
-            return None
-        leading = self._leading()
-        accounts = [leading, *(h for h in bank.all if h is not leading and h.score.posterior > 0.01)]
-        begin, tie = self._reckoning.tie(end)
-        targets = [locate(h, field, row, begin, end, tie) for h in accounts]
-        return blend(targets, [max(h.score.posterior, 1e-6) for h in accounts])

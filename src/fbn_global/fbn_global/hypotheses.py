@@ -52,6 +52,16 @@ class Hypothesis:
         return tuple(dict.fromkeys(row for _, row in self.pairs))
 
     @property
+    def account(self) -> frozenset[tuple[int, int]]:
+        """All that it says, as (key, row): its pairs, and found features recognised as one of a pair.
+
+        Two hypotheses that say the same came by it in another order; they are one.
+        """
+        rows = dict(self.pairs)
+        seen_again = {(key, rows[older]) for key, older in self.aliases.items() if older in rows}
+        return frozenset(self.pairs) | seen_again
+
+    @property
     def matched_keys(self) -> set[int]:
         return {key for key, _ in self.pairs}
 

@@ -66,6 +66,7 @@ def hypotheses_message(stamp_ns: int, bank: Bank, field: Field | None) -> MatchH
 
 def _hypothesis(h: Hypothesis, field: Field | None) -> MatchHypothesis:
     pose, score = h.state.mean[POSE], h.score
+    told = sorted(pair for pair in h.account if pair[0] >= 0)  # below 0: of a tracker before its restart
     return MatchHypothesis(
         h.id,
         max(h.parent, 0),
@@ -73,8 +74,8 @@ def _hypothesis(h: Hypothesis, field: Field | None) -> MatchHypothesis:
         score.posterior,
         score.positive + score.prior,
         score.negative,
-        tuple(field.features[row].id for key, row in h.pairs if key >= 0) if field else (),
-        tuple(key for key, _ in h.pairs if key >= 0),  # below 0: of a tracker before its restart
+        tuple(field.features[row].id for _, row in told) if field else (),
+        tuple(key for key, _ in told),
         pose_record(pose),
         fixed_axes(pose, h.state.covariance[POSE, POSE]),
     )

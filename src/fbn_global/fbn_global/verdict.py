@@ -50,7 +50,7 @@ def modes(bank: Bank, field: Field, radius: float) -> list[Mode]:
         near = [k for k, m in enumerate(found) if np.hypot(*(m.place - place)) < radius]
         if near:
             mode = found[near[0]]
-            found[near[0]] = replace(mode, posterior=mode.posterior + h.score.posterior)
+            found[near[0]] = replace(mode, posterior=min(mode.posterior + h.score.posterior, 1.0))  # rounding
         else:
             found.append(Mode(h, place, h.score.posterior))
     return sorted(found, key=lambda m: -m.posterior)
@@ -61,7 +61,7 @@ def judge(before: Verdict, found: list[Mode], null_posterior: float, stamp_ns: i
     top = found[0] if found else None
     if before.matched:
         return _still(before, top, found, p)
-    pairs = frozenset(top.best.pairs) if top else frozenset()
+    pairs = top.best.account if top else frozenset()
     ready = top is not None and _well_known(top, p) and _sure(top, null_posterior, p)
     streak = (before.streak + 1 if agree(before.candidate, pairs) else 1) if ready else 0
     posterior = top.posterior if top else 0.0
@@ -85,7 +85,7 @@ def _still(before: Verdict, top: Mode | None, found: list[Mode], p: VerdictParam
     """A match once declared, kept or lost."""
     if top is None:
         return _lost(before, "no hypothesis is left but the null")
-    pairs = frozenset(top.best.pairs)
+    pairs = top.best.account
     if not agree(before.declared, pairs):
         return _lost(
             before, f"contradicted: {len(top.best.rows)} features now fit elsewhere, posterior {top.posterior:.3f}"

@@ -28,7 +28,8 @@ from fbn_common.types import NS
 from fbn_global.estimator import Global
 from fbn_global.parameters import GlobalParameters
 from fbn_testing.composite_world import Run, Settings, World, charles_river
-from fbn_testing.matching_study import elsewhere, is_right, play, rows_world
+from fbn_testing.matching_play import is_right, play
+from fbn_testing.matching_worlds import elsewhere, rows_world
 
 LEGS = ((-40.0, 5.0), (80.0, 5.0), (80.0, 35.0), (40.0, 35.0))
 
@@ -100,6 +101,20 @@ def test_in_a_regular_field_joint_compatibility_locks_on_the_wrong_row_where_nap
     naps = [play(run, GlobalParameters()) for run in runs]
     assert sum(o.wrong_ever for o in jcbb) >= 2
     assert not any(o.wrong_ever for o in naps)
+
+
+def test_of_two_hypotheses_that_say_the_same_one_is_kept() -> None:
+    """Over three lanes the same features come back under new keys: recognised as found before, or as the map's."""
+    run = World(replace(Settings(charles_river(5), (*LEGS, (40.0, 5.0), (80.0, 5.0)), seed=5))).make()
+    outputs = feed(Global(GlobalParameters(), run.prior), run.entries)
+    told = of(outputs, MatchHypotheses)
+    for message in told:
+        accounts = [frozenset(zip(h.feature_keys, h.map_ids, strict=True)) for h in message.hypotheses]
+        assert len(set(accounts)) == len(accounts)
+    # what was seen again is told as well: more keys than features of the map
+    assert len(told[-1].hypotheses[0].map_ids) > len(set(told[-1].hypotheses[0].map_ids))
+    assert all(h.posterior <= 1.0 for message in told for h in message.hypotheses)
+    assert all(s.posterior <= 1.0 for s in of(outputs, LocalizationStatus))
 
 
 def test_without_a_map_it_navigates_and_says_so() -> None:

@@ -13,6 +13,7 @@ from itertools import pairwise
 from math import exp
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from fbn_common.geodesy import GeodeticPoint, geodetic_from_enu
 from fbn_common.lie import matrix_from_rpy, quaternion_from_matrix
@@ -71,7 +72,7 @@ class Run:
 
     entries: list[tuple[str, Record]] = field(default_factory=list)
     prior: PriorMap = field(default_factory=lambda: PriorMap(()))
-    truth: dict[int, Array] = field(default_factory=dict)  # stamp -> true pose (6,) at composites' ends
+    truth: dict[int, Array] = field(default_factory=dict)  # stamp -> true pose (6,) at start and composites' ends
     key_feature: dict[int, int] = field(default_factory=dict)  # key -> true feature's number; -1 clutter
     datum: GeodeticPoint = DATUM
 
@@ -83,7 +84,7 @@ def draw_map(s: Settings, rng: np.random.Generator) -> tuple[PriorMap, Array]:
     extra = round(s.surplus * len(s.features))
     places = np.vstack([s.features[kept], np.column_stack([rng.uniform(low, high, (extra, 2)), np.full(extra, -4.0)])])
     ids = [*kept.tolist(), *(1000 + k for k in range(extra))]
-    distance = np.sqrt(((places[:, None, :2] - places[None, :, :2]) ** 2).sum(axis=2))
+    distance = cdist(places[:, :2], places[:, :2])
     root = np.linalg.cholesky(s.map_error**2 / (1 + distance / s.map_length) + s.map_own**2 * np.eye(len(ids)))
     stated = places.copy()
     stated[:, :2] += root @ rng.standard_normal((len(ids), 2)) + np.array(s.map_shift)
@@ -124,6 +125,7 @@ class World:
         prior_cov = np.diag([0.05**2, 0.01**2, 0.01**2, 0.03**2, *np.diag(self.stationary)])
         t0 = 100 * NS
         self._emit("reference/datum", Datum(t0, "map", DATUM.latitude, DATUM.longitude, DATUM.height))
+        self.run.truth[t0] = base
         self._odometry(t0, odom_xy, base)
         self._fix(t0, base[:2])
         for w in range((len(positions) - 1) // per):

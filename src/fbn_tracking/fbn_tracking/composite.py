@@ -20,6 +20,7 @@ from fbn_common.types import Array, Mat3, Vec2, Vec3
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.gating import beam_weights
 from fbn_tracking.geometry import cartesian_jacobian, cross_matrix, finite_slope
+from fbn_tracking.heading import turned, turned_prior
 from fbn_tracking.modes import Surroundings, elevation_posterior, find_modes
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.solver import Solution, solve, square_root_covariance
@@ -58,18 +59,20 @@ def marginalise(window: Window, last: int, slack: Array, feature: FeatureParamet
     """
     pings = {index: ping for index, ping in window.pings.items() if index <= last}
     tracks = [old_part(track, last) for track in window.features.values() if track.anchor <= last]
-    solution = _solve(window, last, tracks)
-    around = Surroundings({i: solution.values.atPose3(pose_key(i)) for i in pings}, pings, slack, feature)
-    modes = {track.key: find_modes(track, around) for track in tracks}
-    flipped = [t for t in tracks if flip(solution.values, t, modes[t.key][0].x[:3])]
-    if flipped:
+    values = part_values(window, last, tracks)
+    flip_unlikely(values, tracks, pings, slack, feature)
+    solution = _solve(window, last, tracks, values)
+    swung = [t for t in tracks if abs(theta_of(solution.values, t) - theta_of(values, t)) > _FLIPPED]
+    if flip_unlikely(solution.values, swung, pings, slack, feature):
         solution = _solve(window, last, tracks, solution.values)
     poses = {i: solution.values.atPose3(pose_key(i)) for i in pings}
     around = Surroundings(poses, pings, slack, feature)
-    mean, covariance = reduce(solution, window.first, last, tracks)
-    for number, track in enumerate(tracks):
-        if feature.elevation == "cubic":
-            widen(mean, covariance, number, *elevation_posterior(track, theta_of(solution.values, track), around))
+    known = [
+        elevation_posterior(t, theta_of(solution.values, t), around) for t in tracks if feature.elevation == "cubic"
+    ]
+    mean, covariance = reduce(solution, window.first, last, tracks, [float(spread[2, 2]) for _, spread in known])
+    for number, (shift, spread) in enumerate(known):
+        widen(mean, covariance, number, shift, spread)
     return Part(window, pings, tracks, poses, mean, covariance)
 
 
@@ -97,14 +100,28 @@ def old_part(track: Track, last: int) -> Track:
     )
 
 
-def _solve(window: Window, last: int, tracks: list[Track], start: gtsam.Values | None = None) -> Solution:
-    values, source = gtsam.Values(), start or window.values
+def part_values(window: Window, last: int, tracks: list[Track]) -> gtsam.Values:
+    """The window's estimate of what belongs to the part."""
+    values, source = gtsam.Values(), window.values
     for index in (i for i in window.pings if i <= last):
         values.insert(pose_key(index), source.atPose3(pose_key(index)))
     values.insert(DRIFT, source.atPoint3(DRIFT))
     for track in tracks:
         values.insert(feature_key(track.key), source.atPoint3(feature_key(track.key)))
-    return solve(window.graph(last, curved=False), values, partial(theta_curvature, tracks))
+    return values
+
+
+def _solve(window: Window, last: int, tracks: list[Track], start: gtsam.Values) -> Solution:
+    return solve(window.graph(last, curved=False), start, partial(theta_curvature, tracks))
+
+
+def flip_unlikely(
+    values: gtsam.Values, tracks: list[Track], pings: dict[int, Ping], slack: Array, feature: FeatureParameters
+) -> bool:
+    """Move features to the likelier elevation, given these poses; whether any was moved."""
+    around = Surroundings({i: values.atPose3(pose_key(i)) for i in pings}, pings, slack, feature)
+    flipped = [flip(values, track, find_modes(track, around)[0].x[:3]) for track in tracks]
+    return any(flipped)
 
 
 def flip(values: gtsam.Values, track: Track, q: Array) -> bool:
@@ -117,8 +134,13 @@ def flip(values: gtsam.Values, track: Track, q: Array) -> bool:
     return True
 
 
-def reduce(solution: Solution, first: int, last: int, tracks: list[Track]) -> tuple[Array, Array]:
-    """Mean and covariance of a part's outputs, by the square root of the joint of the variables behind them."""
+def reduce(
+    solution: Solution, first: int, last: int, tracks: list[Track], heights: list[float] | None = None
+) -> tuple[Array, Array]:
+    """Mean and covariance of a part's outputs, by the square root of the joint of the variables behind them.
+
+    ``heights`` [m^2]: variance that elevation gives to each track's height, where more is known than the graph holds.
+    """
     values = solution.values
     indices = list(dict.fromkeys([first, last, *(t.anchor for t in tracks)]))
     keys = [*map(pose_key, indices), DRIFT, *(feature_key(t.key) for t in tracks)]
@@ -138,6 +160,8 @@ def reduce(solution: Solution, first: int, last: int, tracks: list[Track]) -> tu
         mean[rows], J[rows, at : at + 6], by_q = cartesian_feature(poses[track.anchor], track, q)
         by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt((root[f + 2] ** 2).sum())))
         J[rows, f : f + 3] = by_q
+        if heights:
+            root = narrowed(root, f + 2, heights[n] / max(by_q[2, 2] ** 2, 1e-12))
     mean[-3:], J[-3:, n_drift : n_drift + 3] = values.atPoint3(DRIFT), np.eye(3)
     for row in [4, 5, *(10 + 3 * n + axis for n in range(len(tracks)) for axis in (0, 1))]:
         axis = (row - 4) % 3 if row < 10 else (row - 10) % 3
@@ -145,6 +169,15 @@ def reduce(solution: Solution, first: int, last: int, tracks: list[Track]) -> tu
         J[row, base + 3 : base + 6] -= poses[first][axis, :3]
     S = J @ root
     return mean, S @ S.T
+
+
+def narrowed(root: Array, row: int, variance: float) -> Array:
+    """The root of a joint covariance in which one variable's variance is no more than this, as if it were measured."""
+    own = root[row]
+    square = float(own @ own)
+    if variance >= square:
+        return root
+    return np.asarray(root - np.outer(root @ own, own) * (1.0 - np.sqrt(variance / square)) / square)
 
 
 def pose_rows(T: Array) -> Array:
@@ -191,9 +224,9 @@ def compose(part: Part, sequence: int, cell_size: float, frame_id: str) -> Compo
         features=tuple(_feature(track, part, looks, R, p) for track in part.tracks),
         swept=swept_area(list(zip(R, p, limits, strict=True)), part.base_xy, cell_size),
         mean=part.mean,
-        covariance=0.5 * (part.covariance + part.covariance.T),
+        covariance=turned(part.mean, 0.5 * (part.covariance + part.covariance.T), base.deviation),
         prior_mean=base.mean,
-        prior_covariance=base.covariance,
+        prior_covariance=turned_prior(base.covariance, base.deviation),
         base_odom=first.motion.pose,
         p2_odom=last.motion.pose,
     )

@@ -58,7 +58,9 @@ def handover(part: Part, last: int) -> Base:
     covariance[:4, :4] = part.covariance[6:10, 6:10]
     covariance[4:, 4:] = drift_prior(part.pings[last].motion)
     mean = np.concatenate((part.mean[6:10], np.zeros(3)))
-    return Base(orthonormal(part.poses[last]), mean, 0.5 * (covariance + covariance.T), False)
+    return Base(
+        orthonormal(part.poses[last]), mean, 0.5 * (covariance + covariance.T), False, part.window.base.deviation
+    )
 
 
 def carried_values(window: Window, part: Part, last: int) -> gtsam.Values:

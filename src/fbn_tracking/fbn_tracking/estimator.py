@@ -13,12 +13,13 @@ from fbn_common.records import Innovation, PingMotion, Record, SonarDetections, 
 from fbn_common.types import nanoseconds
 from fbn_tracking.composite import compose
 from fbn_tracking.cut import choose_cut, cut
+from fbn_tracking.heading import deviation_variance
 from fbn_tracking.intake import Intake, refusal, usable
 from fbn_tracking.nursery import Nursery
 from fbn_tracking.parameters import TrackingParameters
 from fbn_tracking.publish import tracked_features
 from fbn_tracking.scan import Scanner
-from fbn_tracking.track import Detection, Ping, first_ping, make_look, next_ping
+from fbn_tracking.track import Detection, first_ping, make_look, next_ping
 from fbn_tracking.warm_up import warm_up
 from fbn_tracking.window import Base, Window, drift_prior
 
@@ -123,20 +124,21 @@ class Tracking:
         window, gap = self._window, nanoseconds(self.parameters.composite.max_gap)
         linked = window is not None and motion.previous_ns == self._last_ns != motion.stamp_ns
         if window is not None and linked and motion.stamp_ns - self._last_ns <= gap:
-            window.add_ping(next_ping(window.pings[window.last], motion))
+            window.add_ping(next_ping(window.pings[window.last], motion, window.base.deviation))
             return []
         outputs = self._close() if window is not None else []
-        self._window = self._start(first_ping(motion))
+        self._window = self._start(motion)
         self._smooth(self._window)
         return outputs
 
-    def _start(self, ping: Ping) -> Window:
-        motion = ping.motion
+    def _start(self, motion: PingMotion) -> Window:
+        deviation = deviation_variance(motion.earth_covariance, self.parameters.deviation)
+        ping = first_ping(motion, deviation)
         pose = gtsam.Pose3(gtsam.Rot3(matrix_from_quaternion(motion.pose.orientation)), motion.pose.position)
         mean = np.concatenate((motion.earth, np.zeros(3)))
         covariance = np.diag(np.concatenate((_WIDE**2, np.zeros(3))))
         covariance[4:, 4:] = drift_prior(motion)
-        base = Base(pose, mean, covariance, fresh=True)
+        base = Base(pose, mean, covariance, True, deviation)
         window = Window(base, {ping.index: ping}, self.parameters.feature.weak_theta_sigma)
         window.start()
         return window
@@ -203,7 +205,7 @@ class Tracking:
             part, self._window = cut(self._window, last, self._nursery, self.parameters)
         except (RuntimeError, np.linalg.LinAlgError) as error:
             self._counts["composites_failed"] += 1
-            self._window = self._start(first_ping(self._window.pings[self._window.last].motion))
+            self._window = self._start(self._window.pings[self._window.last].motion)
             self._nursery.clear()
             text = f"composite failed: {str(error).splitlines()[0]}"
             return self._answer([refusal("composite", self._last_ns, Verdict.REFUSED, text)])

@@ -69,3 +69,17 @@ def beam_weights(point: Vec3, R: Array, p: Array, limits: Array) -> Array:
         if limits[i, 0] <= s[0] <= limits[i, 1] and limits[i, 2] <= s[1] <= limits[i, 3]:
             w[i] = np.exp(-0.5 * u_from_theta(s[2], limits[i, 4], limits[i, 5]) ** 2)
     return w
+
+
+@kernel
+def missed_costs(points: Array, R: Array, p: Array, limits: Array, chance: Array) -> Array:
+    """Minus log probability (m,) that none of the looks (n) saw a target at each world point (m, 3).
+
+    ``chance`` (n,): that a look sees a target amid its lobe; the rest as for :func:`beam_weights`.
+    """
+    costs = np.zeros(points.shape[0])
+    for i in range(points.shape[0]):
+        weights = beam_weights(points[i].copy(), R, p, limits)
+        for j in range(p.shape[0]):
+            costs[i] -= np.log1p(-chance[j] * weights[j])
+    return costs

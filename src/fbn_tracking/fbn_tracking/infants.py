@@ -15,7 +15,7 @@ from fbn_common.types import Array, Mat2, Mat3, Vec2, Vec3
 from fbn_tracking.geometry import finite_slope, observe, u_from_theta, world_point
 
 _ITERATIONS = 20
-_PROFILE_ITERATIONS = 4  # nearly linear in all but theta
+_PROFILE_ITERATIONS = 3  # nearly linear in all but theta, and from one angle to the next
 _CONVERGED = 1e-5  # of the energy
 
 
@@ -108,10 +108,10 @@ def profile(
     """Energy (m) and world point (m, 3) of the likeliest place at each of the given ``thetas`` (m) [rad]."""
     energies, points = np.empty(thetas.shape[0]), np.empty((thetas.shape[0], 3))
     free, none = np.array([0, 1, 3, 4]), np.zeros((3, 3))
+    x = x0.copy()
     for i in range(thetas.shape[0]):
-        x = x0.copy()
-        x[2] = thetas[i]
-        for _ in range(_PROFILE_ITERATIONS):
+        x[2] = thetas[i]  # all else starts where the angle before left it
+        for _ in range(_PROFILE_ITERATIONS if i else _ITERATIONS):
             H, g, _, _ = normal_equations(x, R, p, t, z, drift_information, np.zeros(3), none)
             step = cholesky_solve(H[free][:, free], g[free])
             for k in range(4):

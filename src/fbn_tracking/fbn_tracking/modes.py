@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 from fbn_common.types import NS, Array, Mat2, Mat3, Vec3
-from fbn_tracking.gating import beam_weights
+from fbn_tracking.gating import missed_costs
 from fbn_tracking.geometry import observe
 from fbn_tracking.infants import fit, normal_equations, profile, spread, symmetric_inverse
 from fbn_tracking.parameters import FeatureParameters
@@ -92,8 +92,8 @@ def evaluate(track: Track, q: Vec3, around: Surroundings) -> Mode:
     raw = np.array([d.z for d in detections])
     exact = normal_equations(x, R, p, t, raw, _EXACT * np.eye(2), memory, information)[0]
     given_poses = spread(x, exact, R[0], p[0], z[0, 4], z[0, 5])[1][:3, :3]
-    cost = 0.5 * energy + misses_cost(track.misses, point, around) + place_cost(point, covariance[2, 2], track, around)
-    return Mode(x, point, covariance, given_poses, energy, static, cost)
+    prior = misses_costs(track.misses, point[None], around) + place_costs(point[None], covariance[2, 2], track, around)
+    return Mode(x, point, covariance, given_poses, energy, static, 0.5 * energy + float(prior[0]))
 
 
 def widened(detections: list[Detection], around: Surroundings) -> Array:
@@ -112,29 +112,27 @@ def heading_bound(ping: Ping) -> float:
     return 2.0 * float(ping.motion.earth_covariance[3, 3])
 
 
-def misses_cost(misses: list[Look], point: Vec3, around: Surroundings) -> float:
-    """Minus log probability that these looks did not see a target at ``point``."""
+def misses_costs(misses: list[Look], points: Array, around: Surroundings) -> Array:
+    """Minus log probability (m,) that these looks did not see a target at each of ``points`` (m, 3)."""
     looks = [look for look in misses if look.index in around.poses]
     if not looks:
-        return 0.0
+        return np.zeros(len(points))
     R, p = around.stack(looks)
-    weights = beam_weights(point, R, p, np.array([look.limits for look in looks]))
     chance = np.array([look.detection_probability for look in looks])
-    return -float(np.log1p(-chance * weights).sum())
+    return np.asarray(missed_costs(points, R, p, np.array([look.limits for look in looks]), chance))
 
 
-def place_cost(point: Vec3, variance: float, track: Track, around: Surroundings) -> float:
-    """Minus log prior of the height: nothing lies under the floor or over the surface; most lies below the array."""
-    index, par = track.detections[0].index, around.feature
+def place_costs(points: Array, variance: float, track: Track, around: Surroundings) -> Array:
+    """Minus log prior (m,) of heights: nothing lies under the floor or over the surface; most stands on the floor."""
+    index, par, z = track.detections[0].index, around.feature, points[:, 2]
     pose, ping = around.poses[index], around.pings[index]
-    _, at = around.array(track.detections[0].look)
-    cost = np.log(par.below_odds) if point[2] > at[2] else 0.0
-    over = max(0.0, point[2])
-    cost += 0.5 * over**2 / (par.surface_margin**2 + variance)
+    cost = 0.5 * np.maximum(0.0, z) ** 2 / (par.surface_margin**2 + variance)
     if ping.sees_floor:
-        under = max(0.0, pose.z() - ping.motion.altitude - point[2])
-        cost += 0.5 * under**2 / (par.floor_margin**2 + ping.motion.altitude_variance + variance)
-    return float(cost)
+        height = z - pose.z() + ping.motion.altitude
+        cost += 0.5 * np.minimum(0.0, height) ** 2 / (par.floor_margin**2 + ping.motion.altitude_variance + variance)
+        return np.asarray(cost + np.log1p((np.maximum(0.0, height) / par.height_scale) ** 2))
+    _, at = around.array(track.detections[0].look)
+    return np.asarray(cost + np.log(par.below_odds) * (z > at[2]))
 
 
 def remembered(track: Track, around: Surroundings) -> Mode:
@@ -156,15 +154,14 @@ def elevation_posterior(track: Track, theta: float, around: Surroundings) -> tup
     t = np.array([(d.stamp_ns - first.stamp_ns) / NS for d in detections])
     z = widened(detections, around)
     reach = _REACH * half_lobe(first)
-    thetas = np.concatenate((np.linspace(-reach, reach, _GRID), [theta]))
+    thetas = np.concatenate(([theta], np.linspace(-reach, reach, _GRID)))
     start = np.array([first.z[0], first.z[1], 0.0, 0.0, 0.0])
     energies, points = profile(thetas, start, R, p, t, z, symmetric_inverse(around.slack))
-    prior = [misses_cost(track.misses, x, around) + place_cost(x, 0.0, track, around) for x in points]
-    cost = 0.5 * energies + np.array(prior)
+    cost = 0.5 * energies + misses_costs(track.misses, points, around) + place_costs(points, 0.0, track, around)
     if not np.isfinite(cost).all():
         return np.zeros(3), np.zeros((3, 3))
-    weights = np.exp(cost[:-1].min() - cost[:-1])
+    weights = np.exp(cost[1:].min() - cost[1:])
     weights /= weights.sum()
-    mean = weights @ points[:-1]
-    apart = points[:-1] - mean
-    return mean - points[-1], np.asarray(apart.T @ (weights[:, None] * apart))
+    mean = weights @ points[1:]
+    apart = points[1:] - mean
+    return mean - points[0], np.asarray(apart.T @ (weights[:, None] * apart))

@@ -39,15 +39,18 @@ class FeatureParameters:
     floor_margin: float = param(0.7, "m", "how far below the altimeter's floor an object may seem", "slope of the bed")
     surface_margin: float = param(0.3, "m", "how far above the surface an object may seem", "waves")
     below_odds: float = param(
-        2.0, "-", "odds that an object lies below the array before it is seen twice", "bottom targets"
+        2.0, "-", "odds that an object lies below the array, where no altimeter tells of the floor", "bottom targets"
+    )
+    height_scale: float = param(
+        1.5, "m", "half of all objects stand no higher over the floor; Cauchy beyond", "bottom targets, some moored"
     )
     mode_gap: float = param(4.6, "-", "log odds at which the unlikelier elevation is dropped", "1 in 100")
 
     def __post_init__(self) -> None:
         if self.elevation not in ("cubic", "linear"):
             raise ParameterError(f"feature.elevation: expected cubic or linear, got {self.elevation!r}")
-        if min(self.alpha, self.weak_theta_sigma, self.below_odds) <= 0.0:
-            raise ParameterError("feature.alpha, weak_theta_sigma and below_odds must be positive")
+        if min(self.alpha, self.weak_theta_sigma, self.below_odds, self.height_scale) <= 0.0:
+            raise ParameterError("feature.alpha, weak_theta_sigma, below_odds and height_scale must be positive")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +93,9 @@ class TrackingParameters:
     feature: FeatureParameters = group(FeatureParameters)
     infant: InfantParameters = group(InfantParameters)
     composite: CompositeParameters = group(CompositeParameters)
+    deviation: float = param(
+        0.026, "rad", "standard deviation of yaw's error that stays", "dead reckoning's compass.deviation, 1.5 deg"
+    )
     gate: float = param(0.997, "-", "probability that a true match passes its gate", "chi-square, 3 dof")
     max_detections: int = param(40, "-", "strongest detections kept per array and ping", "bounded time")
     retire: float = param(10.0, "s", "a feature unseen for so long is retired", "as infants")
@@ -106,6 +112,8 @@ class TrackingParameters:
     def __post_init__(self) -> None:
         if not self.arrays:
             raise ParameterError("arrays: at least one sonar array is needed")
+        if not 0.0 <= self.deviation < 1.0:
+            raise ParameterError("deviation: an angle from 0 to 1 rad")
         if not 0.0 < self.gate < 1.0:
             raise ParameterError("gate: a probability between 0 and 1")
         if self.composite.window < 2 * self.composite.pings:

@@ -21,15 +21,16 @@ def count_scan(scans: Array, origin: Vec2, cell: float, R: Mat3, p: Vec3, limits
     reach = limits[1]
     x0, x1 = int((p[0] - reach - origin[0]) / cell), int((p[0] + reach - origin[0]) / cell)
     y0, y1 = int((p[1] - reach - origin[1]) / cell), int((p[1] + reach - origin[1]) / cell)
+    nearest, farthest = limits[0] ** 2, limits[1] ** 2
+    least, most = np.cos(limits[3]), np.cos(limits[2])  # the cosine falls with the angle
     for j in range(max(y0, 0), min(y1 + 1, height)):
         for i in range(max(x0, 0), min(x1 + 1, width)):
             dx, dy = origin[0] + (i + 0.5) * cell - p[0], origin[1] + (j + 0.5) * cell - p[1]
-            r = np.sqrt(dx * dx + dy * dy)
-            if r < limits[0] or r > limits[1]:
+            square = dx * dx + dy * dy
+            if square < nearest or square > farthest or R[0, 0] * dx + R[1, 0] * dy <= 0.0:
                 continue
-            ahead = R[0, 0] * dx + R[1, 0] * dy
-            phi = np.arccos(min(max((R[0, 2] * dx + R[1, 2] * dy) / r, -1.0), 1.0))
-            if ahead > 0.0 and limits[2] <= phi <= limits[3]:
+            r, along = np.sqrt(square), R[0, 2] * dx + R[1, 2] * dy
+            if least * r <= along <= most * r:
                 scans[j, i] += 1.0
 
 

@@ -16,6 +16,7 @@ from fbn_common.sonar import SonarArray
 from fbn_common.types import NS, Array, Mat3, Mat4, Vec3
 from fbn_tracking.factors import inverse, whitener
 from fbn_tracking.geometry import elevation_shape
+from fbn_tracking.heading import given_deviation, information_given_deviation
 from fbn_tracking.parameters import FeatureParameters
 
 if TYPE_CHECKING:
@@ -136,11 +137,14 @@ def make_look(message: SonarDetections, index: int, array: SonarArray, feature: 
     return Look(index, message.frame_id, mount, limits, array.detection_probability)
 
 
-def first_ping(motion: PingMotion) -> Ping:
-    """A ping that starts a chain; its earth measurement is all that is known."""
+def first_ping(motion: PingMotion, deviation: float) -> Ping:
+    """A ping that starts a chain; its earth measurement is all that is known, given yaw's deviation.
+
+    ``deviation``: its variance [rad^2]; with 0 the dead service's own information is taken.
+    """
     information = motion.earth_information
-    if motion.previous_ns != motion.stamp_ns:  # the chain broke: what the filter knows is where the new one starts
-        information = inverse(motion.earth_covariance + _LEAST_VARIANCE * np.eye(4))
+    if deviation or motion.previous_ns != motion.stamp_ns:  # where a chain broke, what the filter knows starts one
+        information = inverse(given_deviation(motion.earth_covariance, deviation) + _LEAST_VARIANCE * np.eye(4))
     none = np.zeros((6, 6))
     return Ping(
         0, motion.stamp_ns, motion, 0.0, np.zeros(3), np.eye(3), none, none,
@@ -148,8 +152,11 @@ def first_ping(motion: PingMotion) -> Ping:
     )  # fmt: skip
 
 
-def next_ping(before: Ping, motion: PingMotion) -> Ping:
-    """The ping after ``before``, linked to it by the dead service's increment."""
+def next_ping(before: Ping, motion: PingMotion, deviation: float) -> Ping:
+    """The ping after ``before``, linked to it by the dead service's increment; ``deviation`` as in `first_ping`."""
+    information = motion.earth_information
+    if deviation:
+        information = information_given_deviation(before.motion, motion, motion.increment_covariance, deviation)
     covariance = motion.increment_covariance + _LEAST_VARIANCE * np.eye(6)
     gathered = np.array([0.5 * (covariance[0, 0] + covariance[1, 1]), covariance[5, 5]])
     return Ping(
@@ -162,7 +169,7 @@ def next_ping(before: Ping, motion: PingMotion) -> Ping:
         covariance,
         whitener(inverse(covariance)),
         motion.earth.copy(),
-        whitener(motion.earth_information),
+        whitener(information),
         before.travelled + gathered,
     )
 

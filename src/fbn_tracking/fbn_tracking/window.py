@@ -30,13 +30,15 @@ _SETTLE = 4  # updates at most until nothing is re-linearised any more
 class Base:
     """What is put in from outside at a window's first pose: z, roll, pitch, yaw and drift (7), and its covariance.
 
-    ``fresh``: the first of a chain, whose own earth measurement belongs to the window too.
+    ``fresh``: the first of a chain, whose own earth measurement belongs to the window too.  ``deviation``: variance
+    of yaw's error that stays [rad^2]; the covariance is that given this error.
     """
 
     pose: gtsam.Pose3
     mean: Array
     covariance: Array
     fresh: bool
+    deviation: float = 0.0
 
 
 @dataclass(slots=True, eq=False)

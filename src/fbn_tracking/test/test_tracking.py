@@ -178,6 +178,7 @@ def test_near_targets_do_not_melt(gap):
     outputs = play(Tracking(), run)
     (c,) = _composites(outputs)[:1]
     xyz = _positions(run, c)
+    xyz += targets.mean(axis=0) - xyz.mean(axis=0)  # a heading's error shifts both alike, by half a metre at 17 m
     gaps = np.linalg.norm(xyz[:, None, :2] - targets[None, :, :2], axis=2)
     assert len(c.features) == 2
     assert sorted(gaps.argmin(axis=1).tolist()) == [0, 1]

@@ -157,6 +157,7 @@ def _dive(run: Run, leg: Dive, tracks: ErrorTracks, identities: dict[int, int | 
         run.of("tracking/composite", r.CompositeMeasurement),
         identities,
         run.truth,
+        run.logged_ns("global/hypotheses"),
     )
     deadreck, true = run.tracks.get("deadreck/odometry"), run.true_track
     depth_track = (true or deadreck or next(iter(run.tracks.values()))).between(leg.start_ns, leg.end_ns)

@@ -7,7 +7,7 @@ enters.  The true feature within reach is its identity; with none within reach i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,9 @@ from fbn_common.records import (
 )
 from fbn_common.types import Vec3
 
+ANSWER = (
+    500_000_000  # ns after the bank's answer in which its verdict is published: the same step of a replay, or timer
+)
 REACH = 4.0  # m, horizontally: a fifth of the spacing of the fields, several times a track's own error
 
 
@@ -65,8 +68,9 @@ def _nearest(place: Vec3, truth: Truth) -> int | None:
 class Matches:
     """What was matched within one dive, at its end.
 
-    ``declared``: the status said matched, on at least one feature tracked in this dive.  ``right`` and ``wrong``
-    count that hypothesis's pairs of this dive; without truth both are 0.
+    ``declared``: the status that answered the last composite of this dive said matched, on at least one feature
+    tracked in it; a match only held over from the dive before does not count.  ``right`` and ``wrong`` count that
+    hypothesis's pairs of this dive; without truth both are 0.
     """
 
     declared: bool
@@ -89,13 +93,17 @@ def matches(
     composites: Sequence[CompositeMeasurement],
     truth_of_pair: dict[int, int | None],
     truth: Truth | None,
+    answered_ns: Mapping[int, int],
     grace_ns: int = 30_000_000_000,
 ) -> Matches:
-    """The matches of one dive; its last composite may be answered up to ``grace_ns`` after its end."""
+    """The matches of one dive; its last composite may be answered up to ``grace_ns`` after its end.
+
+    ``answered_ns``: by a composite's stamp, when its answer was published, which is seconds after that stamp.
+    """
     keys = {f.key for c in composites if dive.start_ns <= c.start_ns <= dive.end_ns for f in c.features}
     end = dive.end_ns + grace_ns
     during = [h for h in hypotheses if dive.start_ns <= h.stamp_ns <= end and h.hypotheses]
-    bests = [(h.stamp_ns, h.hypotheses[0]) for h in during]
+    bests = [(answered_ns.get(h.stamp_ns, h.stamp_ns), h.hypotheses[0]) for h in during]
     first = next((t for t, h in bests if keys & set(h.feature_keys) and _declared(statuses, t)), None)
     if not bests:
         return Matches(False, None, 0, 0, 0, 0.0)
@@ -107,9 +115,9 @@ def matches(
     return Matches(declared, after, len(pairs), right, wrong, best.posterior)
 
 
-def _declared(statuses: Sequence[LocalizationStatus], stamp_ns: int) -> bool:
-    """Was the filter matched at (or, by its answer to that update, just after) a stamp?"""
-    known = [s for s in statuses if s.stamp_ns <= stamp_ns]
+def _declared(statuses: Sequence[LocalizationStatus], answered_ns: int) -> bool:
+    """Was the filter matched after the update that it answered then?  A change of verdict is told with the answer."""
+    known = [s for s in statuses if s.stamp_ns <= answered_ns + ANSWER]
     return known[-1].matched if known else False
 
 

@@ -62,6 +62,14 @@ class Run:
         """The records of a topic, by stamp."""
         return [x for x in self.records.get(topic, ()) if isinstance(x, kind)]
 
+    def logged_ns(self, topic: str) -> dict[int, int]:
+        """When each record of a topic was logged first, by its stamp."""
+        traffic = self.traffic.get(topic)
+        if traffic is None:
+            return {}
+        pairs = zip(traffic.stamp_ns[::-1].tolist(), traffic.log_ns[::-1].tolist(), strict=True)
+        return dict(pairs)
+
     @property
     def true_track(self) -> Track | None:
         """The true path in the run's map; None where it is not known."""

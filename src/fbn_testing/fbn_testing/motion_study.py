@@ -1,0 +1,142 @@
+"""How good dead reckoning, the reference filter and the estimated current are, over many simulated transits.
+
+python -m fbn_testing.motion_study transit --seeds 0:50
+python -m fbn_testing.motion_study transit --seeds 0:50 --current 0.2 --compare --figure transit.png
+
+Only predict, dead reckoning and reference run, on ``no_map_transit``: four calibration dives, then 1.7 km under
+water.  ``--scenario`` and ``--set`` change the simulator's and the estimators' parameters (as in ``fbn``'s ``--set``).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.stats import chi2
+
+from fbn_bringup.ui import number, out, progress, table
+from fbn_testing.motion_voyage import NIS_GROUPS, Judged, front_half, judge, navigate, transit
+
+MEASURES = {
+    "drift_percent": "dead reckoning's error [% of distance]",
+    "reference_percent": "reference's error before surfacing [% of distance]",
+    "yaw_deg": "dead reckoning's yaw, rms [deg]",
+    "current_error": "current, error [m/s]",
+    "current_sigma": "current, stated sigma [m/s]",
+}
+NEES = {  # name: title, degrees of freedom of a seed's sample (0: its samples are correlated, no band)
+    "nees_drift_xy": ("dead reckoning x, y at the end", 2),
+    "nees_reference_xy": ("reference x, y before surfacing", 2),
+    "nees_current": ("current at the dive's start", 2),
+    "nees_z": ("dead reckoning z", 0),
+    "nees_tilt": ("dead reckoning roll, pitch", 0),
+    "nees_yaw": ("dead reckoning yaw", 0),
+}
+
+
+def voyages(
+    seeds: Iterable[int], current: float, scenario: dict[str, Any], settings: dict[str, Any], shared: bool
+) -> list[Judged]:
+    """All seeds' transits, judged."""
+    seeds, found = list(seeds), []
+    how = "" if shared else ", parameters not shared"
+    with progress(f"transits, current {current:g} m/s{how}") as advance:
+        for i, seed in enumerate(seeds):
+            advance(i / len(seeds), f"seed {seed}")
+            simulation = transit(current, seed, scenario)
+            found.append(judge(simulation, navigate(front_half(settings), simulation.records(), shared)))
+    return found
+
+
+def report(title: str, found: list[Judged]) -> None:
+    """Print errors with their spread, NEES with bands, and NIS."""
+    reached = table(f"{title}: {len(found)} seeds", "measure", "median", "5 %", "95 %", "worst")
+    for name, label in MEASURES.items():
+        values = np.array([j.values[name] for j in found])
+        cells = (*np.quantile(values, [0.5, 0.05, 0.95]), values.max())
+        reached.add_row(label.replace("[", "\\["), *(number(float(v), 3) for v in cells))
+    honest = table("NEES, NIS over their degrees of freedom", "of", "mean", "95 % band", "median", "worst")
+    for name, (label, dof) in NEES.items():
+        values = np.array([j.values[name] for j in found])
+        honest.add_row(label, number(float(values.mean())), _band(dof * len(found)), *_two(values))
+    for name in NIS_GROUPS:
+        total, dof = (sum(j.nis[name][k] for j in found) for k in (0, 1))
+        honest.add_row(f"NIS {name}", number(total / dof if dof else None), _band(int(dof)), "", "")
+    out.print(reached)
+    out.print(honest)
+
+
+def _band(dof: int) -> str:
+    """The 95 % band of a mean over so many independent degrees of freedom."""
+    return f"{chi2.ppf(0.025, dof) / dof:.2f}–{chi2.ppf(0.975, dof) / dof:.2f}" if dof else ""
+
+
+def _two(values: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[str, str]:
+    return number(float(np.median(values))), number(float(values.max()))
+
+
+def figure(path: Path, title: str, groups: dict[str, list[Judged]]) -> None:
+    """Dead reckoning's error against distance, every seed and the median, one colour a group."""
+    from matplotlib import pyplot as plt
+
+    fig, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    for colour, (label, found) in zip(("tab:blue", "tab:orange"), groups.items(), strict=False):
+        grid = np.arange(0.0, min(j.distance[-1] for j in found), 5.0)
+        lines = np.array([np.interp(grid, j.distance, j.drift) for j in found])
+        axes.plot(grid, lines.T, color=colour, alpha=0.25, linewidth=0.8)
+        axes.plot(grid, np.median(lines, axis=0), color=colour, linewidth=2.2, label=f"{label}, median")
+    for percent in (2, 5):
+        axes.plot(grid, percent / 100.0 * grid, color="0.5", linestyle=":", linewidth=1.0)
+        axes.annotate(f"{percent} %", (grid[-1], percent / 100.0 * grid[-1]), color="0.4")
+    axes.set(xlabel="distance under water [m]", ylabel="dead reckoning's error [m]", title=title)
+    axes.set(xlim=(0.0, None), ylim=(0.0, None))
+    axes.legend(frameon=False)
+    fig.savefig(path, dpi=120)
+    plt.close(fig)
+
+
+def _transit(a: argparse.Namespace) -> None:
+    seeds, scenario, settings = seed_range(a.seeds), assignments(a.scenario), assignments(a.set)
+    groups = {}
+    for label, shared in (("parameters shared", True), ("not shared", False)):
+        if shared or a.compare:
+            groups[label] = voyages(seeds, a.current, scenario, settings, shared)
+            report(f"no_map_transit, current {a.current:g} m/s, {label}", groups[label])
+    if a.figure:
+        figure(a.figure, f"current {a.current:g} m/s, {len(seeds)} seeds", groups)
+
+
+def seed_range(text: str) -> range:
+    """``a:b`` as Python's range, or one seed."""
+    first, colon, last = text.partition(":")
+    return range(int(first), int(last)) if colon else range(int(first), int(first) + 1)
+
+
+def assignments(texts: Iterable[str]) -> dict[str, Any]:
+    """``name=value`` texts, values as in YAML."""
+    pairs = (text.partition("=") for text in texts)
+    return {name: yaml.safe_load(value) for name, _, value in pairs}
+
+
+def main() -> None:
+    """Run one study and print its table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    studies = parser.add_subparsers(required=True)
+    p = studies.add_parser("transit", help="errors and consistency over seeds")
+    p.add_argument("--seeds", default="1000:1005", metavar="A:B", help="tune on 1000 and up, report below")
+    p.add_argument("--current", type=float, default=0.0, metavar="M_S", help="mean speed of the deep current")
+    p.add_argument("--compare", action="store_true", help="also without shared parameters")
+    p.add_argument("--figure", type=Path, metavar="PNG", help="error against distance")
+    p.add_argument("--scenario", action="append", default=[], metavar="NAME=VALUE", help="of the simulator")
+    p.add_argument("--set", action="append", default=[], metavar="NODE.NAME=VALUE", help="of an estimator")
+    p.set_defaults(study=_transit)
+    arguments = parser.parse_args()
+    arguments.study(arguments)
+
+
+if __name__ == "__main__":
+    main()
