@@ -20,6 +20,7 @@ import numpy as np
 import yaml
 
 from fbn_common.lie import matrix_from_rpy, rpy_from_matrix
+from fbn_common.named_file import file_names, read_named
 from fbn_common.parameters import ParameterError, dotted, flatten, group, load, param
 from fbn_common.sonar import SonarArray
 
@@ -83,7 +84,7 @@ class SonarModel:
 
 def sonar_names() -> tuple[str, ...]:
     """The sonars that come along."""
-    return tuple(sorted(f.name.removesuffix(".yaml") for f in _library().iterdir() if f.name.endswith(".yaml")))
+    return file_names(_library())
 
 
 def load_sonar(name_or_path: str | Path) -> SonarModel:
@@ -91,7 +92,7 @@ def load_sonar(name_or_path: str | Path) -> SonarModel:
 
     Raises ParameterError, with file and remedy, for an unknown sonar, an unreadable file, what is missing or wrong.
     """
-    text = _read(name_or_path)
+    text = read_named(name_or_path, _library(), "sonar")
     try:
         document = yaml.safe_load(text)
     except yaml.YAMLError as error:
@@ -166,16 +167,3 @@ def _mapping(value: Any, name: str) -> dict[str, Any]:
 
 def _library() -> Traversable:
     return resources.files("fbn_common").joinpath("data", "sonars")
-
-
-def _read(name_or_path: str | Path) -> str:
-    path = Path(name_or_path)
-    if path.suffix == ".yaml" or path.is_file():
-        try:
-            return path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ParameterError(f"{path}: not a readable sonar file: {error}") from error
-    if str(name_or_path) not in sonar_names():
-        names = ", ".join(sonar_names())
-        raise ParameterError(f"no sonar {str(name_or_path)!r}; there are {names} (or give a .yaml file)")
-    return _library().joinpath(f"{name_or_path}.yaml").read_text(encoding="utf-8")

@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from fbn_common.graph import GRAPH
+from fbn_common.named_file import file_names, read_named
 from fbn_common.parameters import ParameterError, dotted, group, load, param
 from fbn_common.sonar_file import beside
 from fbn_sim.faults import Fault
@@ -76,8 +77,7 @@ class Scenario:
 
 def scenario_names() -> tuple[str, ...]:
     """The scenarios that come with the package."""
-    files = _directory().iterdir()
-    return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
+    return file_names(_directory())
 
 
 def load_scenario(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
@@ -85,7 +85,7 @@ def load_scenario(name_or_path: str | Path, overrides: Mapping[str, Any] | None 
 
     Raises ParameterError for an unknown scenario, an unreadable file, or a wrong key, which it names.
     """
-    text = _read(name_or_path)
+    text = read_named(name_or_path, _directory(), "scenario")
     try:
         document = yaml.safe_load(text) or {}
     except yaml.YAMLError as error:
@@ -97,16 +97,3 @@ def load_scenario(name_or_path: str | Path, overrides: Mapping[str, Any] | None 
 
 def _directory() -> Traversable:
     return resources.files("fbn_sim").joinpath("data", "scenarios")
-
-
-def _read(name_or_path: str | Path) -> str:
-    path = Path(name_or_path)
-    if path.suffix == ".yaml" or path.exists():
-        try:
-            return path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise ParameterError(f"{path}: not a readable scenario: {error}") from error
-    if str(name_or_path) not in scenario_names():
-        names = ", ".join(scenario_names())
-        raise ParameterError(f"no scenario {str(name_or_path)!r}; there are {names} (or give a .yaml file)")
-    return _directory().joinpath(f"{name_or_path}.yaml").read_text(encoding="utf-8")

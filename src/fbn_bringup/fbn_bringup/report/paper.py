@@ -114,7 +114,7 @@ def errors(run: Run, tracks: ErrorTracks, path: Path) -> None:
         figure, panels = _two_columns(len(bands), 1.55)
         for axes, band in zip(panels, bands, strict=True):
             _band(axes, run, band)
-        for axes in panels[-2:]:
+        for axes in panels[-(2 - len(panels) % 2) :]:  # the bottom row
             axes.set_xlabel("minutes since start")
         _save(figure, path)
 
