@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from fbn_common.lie import matrix_from_rpy, so3_log
 from fbn_common.motion_ekf.adopt import adopt_covariance, gained_information
 from fbn_common.motion_ekf.layout import (
+    DEVIATION,
     ESTIMATED_REFERENCE,
     GRID_NS,
     SIZE_REFERENCE,
@@ -232,3 +233,15 @@ def test_deviation_has_its_whole_variance_at_every_heading() -> None:
     for yaw in np.linspace(-3.0, 3.0, 7):
         waves = deviation_waves(matrix_from_rpy(np.array([0.0, 0.0, yaw])))
         assert waves**2 @ variance[2:7] == pytest.approx(compass.deviation**2)
+
+
+def test_a_deviating_compass_is_turned_about_the_vertical_by_each_of_its_coefficients() -> None:
+    """Against a compass that really deviates: the innovation is what the Jacobian says, to second order of 1e-4 rad."""
+    r = matrix_from_rpy(np.array([0.1, -0.1, 0.7]))
+    for i, wave in enumerate(deviation_waves(r)):
+        x, size = state(np.zeros(40)), 1e-4
+        set_rotation(x, r)
+        DATA[Kind.COMPASS][:9] = (matrix_from_rpy(np.array([0.0, 0.0, size * wave])) @ r).ravel()
+        nu, _, h = innovation(Kind.COMPASS, x)
+        DATA[Kind.COMPASS][:9] = r.ravel()
+        np.testing.assert_allclose(nu, size * h[:, DEVIATION + i], atol=1e-8)

@@ -80,7 +80,7 @@ def _compass(
     noise[0, 0] += turn**2 + wave**2
     noise[1, 1] += wave**2
     noise[2, 2] += np.tan(config.dip) ** 2 * (turn**2 + wave**2)
-    return 3, 6
+    return 3, 10
 
 
 @kernel
