@@ -198,7 +198,7 @@ def _band(s: Spread, rows: list[Row]) -> tuple[str, str]:
     if not s.seeds:
         return "–", "–"
     dof = next((v for row in rows if (v := row.values.get(s.name.replace("nees", "dof", 1)))), 1.0) or 1.0
-    low, high = (float(chi_square.bound(p, s.seeds * dof)) / (s.seeds * dof) for p in (0.025, 0.975))
+    low, high = chi_square.band(s.seeds * dof)
     return f"{s.total / s.seeds:.2f}", f"{low:.2f}–{high:.2f}"
 
 

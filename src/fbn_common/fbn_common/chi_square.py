@@ -17,3 +17,8 @@ def bound(probability: float | Array, dof: float | Array | npt.NDArray[np.int64]
 def bound_of_tail(probability: float, dof: float) -> float:
     """The value that a chi-square variable exceeds with this, perhaps very small, probability."""
     return float(chdtri(dof, probability))
+
+
+def band(dof: float) -> tuple[float, float]:
+    """The 95 % band of a normalised square over its degrees of freedom: how far from 1 chance takes it."""
+    return float(chdtri(dof, 0.975)) / dof, float(chdtri(dof, 0.025)) / dof

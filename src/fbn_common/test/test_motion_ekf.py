@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from fbn_common.lie import matrix_from_rpy, so3_log
 from fbn_common.motion_ekf.adopt import adopt_covariance, gained_information
 from fbn_common.motion_ekf.layout import (
+    DEVIATION,
     ESTIMATED_REFERENCE,
     GRID_NS,
     SIZE_REFERENCE,
@@ -25,12 +26,14 @@ from fbn_common.motion_ekf.measure import (
     apply_error,
     cholesky,
     correct,
+    deviation_waves,
     innovation_covariance,
     model,
     project,
     whiten,
 )
 from fbn_common.motion_ekf.monitor import Watch
+from fbn_common.motion_ekf.parameters import CompassParameters, DepthParameters, SurfaceParameters, considered
 from fbn_common.motion_ekf.propagate import propagate, rotation_of, set_rotation
 from fbn_common.motion_ekf.timeline import MotionLog
 from fbn_common.motion_ekf.warm_up import standstill
@@ -39,9 +42,9 @@ from fbn_common.types import Array
 
 N = SIZE_REFERENCE
 CONFIG = Config(
-    0, ESTIMATED_REFERENCE, SNAPSHOT_NS, np.full(15, 1e-6), np.full(15, 1e3), np.full(6, 300.0), np.full(6, 0.01),
-    1.0, 1.18, 0.0, 2.0, 0.0, np.full((4, len(Kind)), 50.0), np.full(len(Kind), 1e18), 0.3 * np.ones((len(Kind), 3)),
-    0.1, 3.0, 1.0, True, 60.0,
+    ESTIMATED_REFERENCE, np.tile([0, ESTIMATED_REFERENCE], (len(Kind), 1)), SNAPSHOT_NS, np.full(15, 1e-6),
+    np.full(15, 1e3), np.full(13, 300.0), np.full(13, 0.01), 1.18, 0.0, 2.0, 0.2, 0.7, 0.0,
+    np.full((4, len(Kind)), 50.0), np.full(len(Kind), 1e18), 0.3 * np.ones((len(Kind), 3)), 0.1, 3.0, 1.0, True, 60.0,
 )  # fmt: skip
 floats = st.lists(st.floats(-1.0, 1.0), min_size=40, max_size=40).map(np.array)
 DATA = {
@@ -212,3 +215,33 @@ def test_a_watch_names_what_is_wrong_with_a_stream() -> None:
     assert watch.complaint(4) == "frozen: 4 equal values in a row"
     assert watch.objection(5, b"b", bounds) is None
     assert watch.complaint(3_000_000_005) == "no data for 3.0 s"
+
+
+def test_what_iron_does_to_the_compass_comes_back_with_the_heading_and_not_before() -> None:
+    """Hard iron turns once, soft iron twice a circle: opposite headings share only the constant and the soft part."""
+    waves = [
+        deviation_waves(matrix_from_rpy(np.array([0.1, -0.2, yaw]))) for yaw in (0.3, 0.3 + np.pi, 0.3 + 2.0 * np.pi)
+    ]
+    np.testing.assert_allclose(waves[0], waves[2], atol=1e-12)
+    np.testing.assert_allclose(waves[1], waves[0] * np.array([1.0, -1.0, -1.0, 1.0, 1.0]), atol=1e-12)
+    np.testing.assert_allclose(waves[0][1:3], [np.sin(0.3), np.cos(0.3)], atol=1e-12)
+
+
+def test_deviation_has_its_whole_variance_at_every_heading() -> None:
+    compass = CompassParameters()
+    _, variance = considered(compass, DepthParameters(), SurfaceParameters())
+    for yaw in np.linspace(-3.0, 3.0, 7):
+        waves = deviation_waves(matrix_from_rpy(np.array([0.0, 0.0, yaw])))
+        assert waves**2 @ variance[2:7] == pytest.approx(compass.deviation**2)
+
+
+def test_a_deviating_compass_is_turned_about_the_vertical_by_each_of_its_coefficients() -> None:
+    """Against a compass that really deviates: the innovation is what the Jacobian says, to second order of 1e-4 rad."""
+    r = matrix_from_rpy(np.array([0.1, -0.1, 0.7]))
+    for i, wave in enumerate(deviation_waves(r)):
+        x, size = state(np.zeros(40)), 1e-4
+        set_rotation(x, r)
+        DATA[Kind.COMPASS][:9] = (matrix_from_rpy(np.array([0.0, 0.0, size * wave])) @ r).ravel()
+        nu, _, h = innovation(Kind.COMPASS, x)
+        DATA[Kind.COMPASS][:9] = r.ravel()
+        np.testing.assert_allclose(nu, size * h[:, DEVIATION + i], atol=1e-8)

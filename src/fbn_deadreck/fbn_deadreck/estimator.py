@@ -39,7 +39,6 @@ class Deadreck(MotionFilter):
     name = "deadreck"
     frame_id = "odom"
     size = SIZE_DEADRECK
-    first = 2
     estimated = ESTIMATED_DEADRECK
 
     def __init__(self, parameters: DeadreckParameters) -> None:

@@ -256,3 +256,10 @@ def test_missing_motions_are_stepped_over_with_doubt(twin: Twin) -> None:
     assert deadreck.ekf.head_ns == START_NS + 20_000_000_000
     assert deadreck.health().values["bridged"] == 50
     assert any("missing" in a.reason for a in answers(outputs, "predict"))
+
+
+def test_yaw_is_never_surer_than_the_compass_deviates(voyage: tuple[list[Output], Deadreck]) -> None:
+    """Every heading has the deviation's whole variance; a turn carries little from one heading to the next."""
+    deviation = DeadreckParameters().compass.deviation
+    sigma = np.sqrt([line.pose_covariance[5, 5] for line in odometry(voyage[0])[100:]])
+    assert sigma.min() > 0.9 * deviation

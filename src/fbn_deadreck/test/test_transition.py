@@ -12,6 +12,9 @@ from fbn_common.motion_ekf.layout import (
     ESTIMATED_REFERENCE,
     GRID_NS,
     SIZE_REFERENCE,
+    SURFACE,
+    THRUST,
+    WATER,
     X_PARAMETERS,
     X_SIZE,
     X_VELOCITY,
@@ -31,7 +34,7 @@ N = SIZE_REFERENCE
 def config() -> Config:
     """A filter's, with nothing but the transition left."""
     base = MotionFilter(FilterParameters(), {}, 4).config()
-    return base._replace(estimated=ESTIMATED_REFERENCE, walk=np.zeros(15), tau=np.full(6, 1e15), heading_scale=1e15)
+    return base._replace(estimated=ESTIMATED_REFERENCE, walk=np.zeros(15), tau=np.full(13, 1e15))
 
 
 CONFIG = config()
@@ -70,6 +73,7 @@ def test_the_transition_equals_its_numerical_derivative_at_any_heading(u: Array)
     x0[X_VELOCITY:X_PARAMETERS] = rows.mean[K, 6:12] + 0.02 * u[4:10]
     x0[X_PARAMETERS:] = rows.parameters[K] * (1.0 + 0.05 * u[10:25])
     x0[-3:] = 0.1 * u[25:28]
+    x0[2] = -0.1  # near the surface
     rows.noise[K] = 0.0
 
     def moved(dx: Array) -> Array:
@@ -82,6 +86,9 @@ def test_the_transition_equals_its_numerical_derivative_at_any_heading(u: Array)
     f = np.eye(N)
     columns = [(error(nominal, moved(h * e)) - error(nominal, moved(-h * e))) / (2 * h) for e in np.eye(27)]
     f[:27, :27] = np.column_stack(columns)
+    # thrust lost takes its share of the gain ahead; the top layer's motion adds to the water's, less with depth
+    f[:12, SURFACE] = -x0[X_PARAMETERS + 9] * f[:12, THRUST]
+    f[:12, SURFACE + 1 : SURFACE + 3] = np.exp(-0.1 / CONFIG.layer_depth) * f[:12, WATER : WATER + 2]
     p = np.eye(N)
     propagate(x0.copy(), p, rows, K, 0.0, 1.0, GRID_NS * 1e-9, CONFIG)
     # left out: second-order terms of the motion's own linearisation; the largest is righting, 19 1/s^2, by

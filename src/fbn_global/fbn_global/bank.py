@@ -12,17 +12,17 @@ from dataclasses import replace
 import numpy as np
 
 from fbn_common.types import Array
+from fbn_global.association import Associator
 from fbn_global.composite_update import Snippet, take_up
-from fbn_global.field import Field, Rows, instantiate
+from fbn_global.field import Field
 from fbn_global.hypotheses import Hypothesis, Score
-from fbn_global.jcbb import jcbb
-from fbn_global.matching import Pairs, Problem
+from fbn_global.matching import Pairs
 from fbn_global.memory import Memory
 from fbn_global.merging import merge_found
-from fbn_global.naps import evaluate, positive, surplus_gains
+from fbn_global.naps import evaluate, positive
 from fbn_global.parameters import GlobalParameters
 from fbn_global.reference_update import Fixed
-from fbn_global.state import XY, Block, Kind, State, equate, remove
+from fbn_global.state import Block, Kind, State, remove
 
 
 class Bank:
@@ -34,8 +34,7 @@ class Bank:
         self.null = Hypothesis(0, -1, state, 0.0, score=Score(posterior=1.0))
         self.rivals: list[Hypothesis] = []
         self._next = 1
-        m = parameters.matching
-        self._noise = np.diag([m.object_sigma**2, m.object_sigma**2, m.object_up_sigma**2])
+        self._associator = Associator(parameters, self.memory)
 
     @property
     def all(self) -> list[Hypothesis]:
@@ -74,7 +73,7 @@ class Bank:
         self.null, *self.rivals = [
             h.with_state(t.state, t.log_likelihood) for h, t in zip(self.all, taken, strict=True)
         ]
-        self.each(lambda h: merge_found(h, snippet.keys, self.memory, self._noise, self.p))
+        self.each(lambda h: merge_found(h, snippet.keys, self.memory, self._associator.noise, self.p))
         self._forget()
         if field is not None and len(field.features):
             self.associate(field)
@@ -85,10 +84,33 @@ class Bank:
         if self.p.method == "JCBB":
             self.rivals = self._jointly_compatible(field)
             return
-        extended = [self._extend(self._in_reach(h, field), field) for h in self.rivals]
-        born = self._births(field, {h.account for h in extended})
-        scored = [self._scored(h, field) for h in (*extended, *born)]
-        self._rank(self._distinct(scored))
+        associator = self._associator
+        extended = [associator.extended(associator.in_reach(h, field), field) for h in self.rivals]
+        scored = [self._scored(h, field) for h in (*extended, *self._births(field, extended))]
+        self._rank(_distinct(scored))
+
+    def _births(self, field: Field, living: list[Hypothesis]) -> list[Hypothesis]:
+        """New hypotheses from the null's state: the likely sets of pairs that no living one explains yet."""
+        associator, b = self._associator, self.p.bank
+        sets = associator.sets(self.null, field, {h.account for h in living})[: b.hypotheses]
+        best = max([0.0, *(s.log_ratio for s in sets), *(h.score.log_ratio for h in self.rivals)])
+        likely = [s for s in sets if s.log_ratio > best - b.keep_log_ratio]
+        return [associator.in_reach(self._born(s.pairs, field), field) for s in likely]
+
+    def _born(self, pairs: Pairs, field: Field) -> Hypothesis:
+        """A new hypothesis: the null's state with these pairs (key, row) merged."""
+        h = self._associator.paired(self.null, pairs, field)
+        self._next += 1
+        return replace(h, id=self._next - 1, parent=self.null.id)
+
+    def _jointly_compatible(self, field: Field) -> list[Hypothesis]:
+        """For comparison: the one set of pairs that joint compatibility takes, as if it were sure."""
+        pairs = self._associator.jointly_compatible(self.null, field)
+        if not pairs:
+            return []
+        h = self._scored(self._born(pairs, field), field)
+        self.null = replace(self.null, score=Score(posterior=0.0))
+        return [replace(h, score=replace(h.score, posterior=1.0))]
 
     def _scored(self, h: Hypothesis, field: Field) -> Hypothesis:
         negative = self.p.method == "NAPS"
@@ -111,123 +133,6 @@ class Bank:
         self.rivals = [
             replace(h, score=replace(h.score, posterior=float(w))) for h, w in zip(kept, posterior[1:], strict=True)
         ]
-
-    def _distinct(self, rivals: list[Hypothesis]) -> list[Hypothesis]:
-        """One hypothesis for each account, the likeliest: twice the same would count its posterior twice."""
-        best: dict[frozenset[tuple[int, int]], Hypothesis] = {}
-        for h in sorted(rivals, key=lambda h: (-h.score.log_ratio, h.id)):
-            best.setdefault(h.account, h)
-        return list(best.values())
-
-    # --- association ---------------------------------------------------------------------------------------
-
-    def _births(self, field: Field, known: set[frozenset[tuple[int, int]]]) -> list[Hypothesis]:
-        """New hypotheses from the null's state: a set grown from every anchor that no other set explains yet."""
-        keys, rows = self.null.unexplained(), self._candidates(self.null, field)
-        if not keys or len(rows) == 0:
-            return []
-        problem = self._problem(self.null, keys, rows, field)
-        named: dict[frozenset[tuple[int, int]], tuple[float, Pairs]] = {}
-        explained = {pair for pairs in known for pair in pairs}
-        m = self.p.matching
-        for anchor in problem.anchors(m.tight_sigma, m.anchors):
-            if (keys[anchor[0]], int(rows[anchor[1]])) in explained:
-                continue
-            grown = problem.grow(anchor)
-            pairs = tuple((keys[i], int(rows[j])) for i, j in grown.pairs)
-            explained.update(pairs)
-            if frozenset(pairs) not in known:
-                named.setdefault(frozenset(pairs), (grown.log_ratio, pairs))
-        likely = sorted(named.values(), key=lambda item: (-item[0], item[1]))[: self.p.bank.hypotheses]
-        best = max([0.0, *(ratio for ratio, _ in likely), *(h.score.log_ratio for h in self.rivals)])
-        likely = [item for item in likely if item[0] > best - self.p.bank.keep_log_ratio]
-        return [self._in_reach(self._with_pairs(self.null, pairs, field), field) for _, pairs in likely]
-
-    def _extend(self, h: Hypothesis, field: Field) -> Hypothesis:
-        """A hypothesis with the pairs that now suggest themselves under it."""
-        keys, rows = h.unexplained(), np.array(h.state.ids(Kind.MAP), dtype=np.int64)
-        if not keys:
-            return h
-        problem = self._problem(h, keys, rows, field)
-        grown = problem.grow()
-        return self._with_pairs(h, tuple((keys[i], int(rows[j])) for i, j in grown.pairs), field)
-
-    def _with_pairs(self, h: Hypothesis, pairs: Pairs, field: Field) -> Hypothesis:
-        """The hypothesis with these pairs merged; from the null hypothesis, it is a new one."""
-        if not pairs:
-            return h
-        state = instantiate(h.state, field, np.array(sorted({row for _, row in pairs}), dtype=np.int64))
-        evidence = h.evidence
-        for key, row in pairs:
-            merged = equate(state, Block(Kind.FOUND, key), Block(Kind.MAP, row), self._noise)
-            state, evidence = merged.state, evidence + merged.log_likelihood
-        identity, parent = (self._new_id(), h.id) if h.is_null else (h.id, h.parent)
-        return replace(h, id=identity, parent=parent, state=state, evidence=evidence, pairs=(*h.pairs, *pairs))
-
-    def _new_id(self) -> int:
-        self._next += 1
-        return self._next - 1
-
-    def _problem(self, h: Hypothesis, keys: tuple[int, ...], rows: Rows, field: Field) -> Problem:
-        """Unexplained found features against features of the map under a hypothesis."""
-        state = instantiate(h.state, field, rows)
-        x, p = state.marginal(*(Block(Kind.FOUND, k) for k in keys), *(Block(Kind.MAP, int(r)) for r in rows))
-        allowed = self._allowed(h, keys, rows)
-        gains = surplus_gains(h.surplus(), len(keys), self.memory.area, self.p.scoring)
-        matched = np.isin(rows, h.rows)
-        bonus = np.where(matched, 0.0, np.log(field.existence[rows]))
-        gate = self.p.matching.gate_sigma**2
-        together = self.memory.together(keys, h.aliases)
-        return Problem(x, np.ascontiguousarray(p), len(keys), allowed, together, bonus, gains, self._noise, gate)
-
-    def _allowed(
-        self, h: Hypothesis, keys: tuple[int, ...], rows: Rows
-    ) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
-        """Whether (keys, rows) a pair contradicts no other: no two objects seen at one time are one."""
-        allowed = np.ones((len(keys), len(rows)), dtype=np.bool_)
-        index = {int(r): k for k, r in enumerate(rows)}
-        seen = [self.memory.seen_in(k, h.aliases) for k in keys]
-        for key, row in h.pairs:
-            if row in index:
-                other = self.memory.seen_in(key, h.aliases)
-                allowed[:, index[row]] &= np.array([not (s & other) for s in seen])
-        return allowed
-
-    def _candidates(self, h: Hypothesis, field: Field) -> Rows:
-        """Map features that may be one of the found ones under the null, by their own uncertainty and the map's."""
-        rows: set[int] = set()
-        for key in h.unexplained():
-            mean, covariance = h.state.marginal(Block(Kind.FOUND, key))
-            spread = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1] + float(field.sigma.max()) ** 2)
-            rows.update(field.around(mean[None, :2], self.p.matching.gate_sigma * spread).tolist())
-        return np.array(sorted(rows), dtype=np.int64)
-
-    def _in_reach(self, h: Hypothesis, field: Field) -> Hypothesis:
-        """The hypothesis with all map features in its state that its remembered sweeps may have covered."""
-        shift = h.map_shift(field, h.state.mean[XY])
-        rows: set[int] = set()
-        for sequence in self.memory.sequences():
-            if Block(Kind.ORIGIN, sequence) in h.state:
-                area = self.memory.area_of(sequence)
-                low = h.state.mean[h.state.span(Block(Kind.ORIGIN, sequence))] + area.origin - shift
-                high = low + area.cell_size * np.array([area.width, area.height])
-                rows.update(field.inside(low - self.p.bank.reach, high + self.p.bank.reach).tolist())
-        return replace(h, state=instantiate(h.state, field, np.array(sorted(rows), dtype=np.int64)))
-
-    def _jointly_compatible(self, field: Field) -> list[Hypothesis]:
-        """For comparison: the one set of pairs that joint compatibility takes, as if it were sure."""
-        keys, rows = self.null.unexplained(), self._candidates(self.null, field)
-        if not keys or len(rows) == 0:
-            return []
-        problem = self._problem(self.null, keys, rows, field)
-        allowed = problem.distances() < problem.gate
-        joint = jcbb(problem.x, problem.p, len(keys), allowed, self._noise, 3, self.p.matching.jcbb_nodes)
-        pairs = tuple((keys[i], int(rows[j])) for i, j in enumerate(joint.assigned) if j >= 0)
-        if not pairs:
-            return []
-        h = self._scored(self._with_pairs(self.null, pairs, field), field)
-        self.null = replace(self.null, score=Score(posterior=0.0))
-        return [replace(h, score=replace(h.score, posterior=1.0))]
 
     # --- forgetting ----------------------------------------------------------------------------------------
 
@@ -269,3 +174,11 @@ def _without_keys(h: Hypothesis) -> Hypothesis:
     gone = {block for block in h.state.starts if block.kind is not Kind.MAP}
     pairs = tuple((-1 - n, row) for n, (_, row) in enumerate(h.pairs))
     return replace(h, state=remove(h.state, gone), pairs=pairs, aliases={}, dropped=h.surplus())
+
+
+def _distinct(rivals: list[Hypothesis]) -> list[Hypothesis]:
+    """One hypothesis for each account, the likeliest: twice the same would count its posterior twice."""
+    best: dict[frozenset[tuple[int, int]], Hypothesis] = {}
+    for h in sorted(rivals, key=lambda h: (-h.score.log_ratio, h.id)):
+        best.setdefault(h.account, h)
+    return list(best.values())

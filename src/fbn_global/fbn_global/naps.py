@@ -6,8 +6,10 @@
         + log existence of the features matched, log odds of the map itself                               (prior)
 
 The first line is the paper's ``- D^2 / 2 - log|S| / 2`` (JOE 2013, eq. 19), accumulated exactly by the bank's own
-filters; the second is its free parameter ``lambda`` per match, here ``log((b + A) h / (a + s - 1))`` for the s-th
-unexplained object in a swept area A: many unexplained objects make a chance match cheap.
+filters; the second is its free parameter ``lambda`` per match, here ``log((b + A / c) h / (a + s - 1))`` for the s-th
+unexplained object in a swept area A: many unexplained objects make a chance match cheap.  Objects lie in fields, on
+one bed: by ``c`` they are denser there than over all that was swept, and ``h`` is small, whether on the map or off it.
+Else a field would seem to fit the map of any other by chance less often than it does.
 """
 
 from __future__ import annotations
@@ -26,15 +28,16 @@ from fbn_global.state import Block, Kind, State
 
 
 def surplus_log(count: int, area: float, p: ScoringParameters) -> float:
-    """Log density of so many objects off the map in an area [m^2], over their unknown density."""
-    a, b = p.surplus_count, p.surplus_area
-    return lgamma(a + count) - lgamma(a) + a * log(b) - (a + count) * log(b + area) - count * log(p.height_span)
+    """Log density of so many objects off the map in a swept area [m^2], over their unknown density."""
+    a, b, held = p.surplus_count, p.surplus_area, area / p.surplus_clustering
+    return lgamma(a + count) - lgamma(a) + a * log(b) - (a + count) * log(b + held) - count * log(p.height_span)
 
 
 def surplus_gains(count: int, pairs: int, area: float, p: ScoringParameters) -> Array:
     """What the first, second ... pair (pairs,) gains by leaving one object fewer off the map, of ``count`` at first."""
     left = np.maximum(count - 1.0 - np.arange(pairs), 0.0)
-    return np.asarray(log(p.surplus_area + area) + log(p.height_span) - np.log(p.surplus_count + left))
+    held = area / p.surplus_clustering
+    return np.asarray(log(p.surplus_area + held) + log(p.height_span) - np.log(p.surplus_count + left))
 
 
 def evaluate(

@@ -37,19 +37,24 @@ class ScoringParameters:
 
     surplus_count: float = param(1.0, "-", "found features off the map: prior count", "gamma prior of their density")
     surplus_area: float = param(1000.0, "m^2", "found features off the map: area of that count", "1 in 32 m x 32 m")
-    height_span: float = param(10.0, "m", "range of heights over which features off the map lie", "shallow water")
+    surplus_clustering: float = param(
+        3.0, "-", "features off the map: how much denser in fields than over all the sweep", "reliability study"
+    )
+    height_span: float = param(
+        5.0, "m", "range of heights over which features off the map lie", "on one bed, as others"
+    )
     promotion_detections: int = param(7, "-", "detections that make a feature", "7 to 10, IROS 2007 V")
     visibility_weight: float = param(10.0, "-", "scans that the prior visibility counts for", "one pass")
     missed_floor: float = param(
         0.05, "-", "chance to miss a feature for causes not modelled", "occlusion, merged echoes"
     )
-    prior_match: float = param(
-        0.1, "-", "chance before any evidence that the map fits", "a wrong match costs the mission"
-    )
+    prior_match: float = param(0.5, "-", "chance before any evidence that the map fits", "even odds")
 
     def __post_init__(self) -> None:
         if min(self.surplus_count, self.surplus_area, self.height_span, self.visibility_weight) <= 0.0:
             raise ParameterError("surplus_count, surplus_area, height_span and visibility_weight must be positive")
+        if self.surplus_clustering < 1.0:
+            raise ParameterError("surplus_clustering is at least 1")
         if not (0.0 < self.missed_floor < 1.0 and 0.0 < self.prior_match < 1.0 and self.promotion_detections >= 1):
             raise ParameterError("missed_floor and prior_match lie between 0 and 1, promotion_detections is at least 1")
 
@@ -91,7 +96,7 @@ class VerdictParameters:
 
     match_posterior: float = param(0.99, "-", "declare a match above", "1 in 100 may be wrong")
     null_posterior: float = param(
-        2e-3, "-", "only while nothing-matched is below", "chance fits in 40 fields of another place"
+        5e-3, "-", "only while nothing-matched is below", "1 in 200 wrong, however often one looks (Ville 1939)"
     )
     keep_posterior: float = param(0.8, "-", "keep it above", "hysteresis")
     hold_updates: int = param(

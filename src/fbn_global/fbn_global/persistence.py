@@ -11,6 +11,7 @@ import io
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -65,6 +66,7 @@ def save(path: Path, saved: Saved) -> None:
         file.flush()
         os.fsync(file.fileno())
     os.replace(temporary, path)
+    _flush(path.parent)
 
 
 def load(path: Path) -> Saved:
@@ -78,9 +80,34 @@ def load(path: Path) -> Saved:
         raise StateFileError(f"{path.name}: is no saved state of this version")
     if hashlib.sha256(data[head + 32 :]).digest() != data[head : head + 32]:
         raise StateFileError(f"{path.name}: is damaged")
-    with np.load(io.BytesIO(data[head + 32 :]), allow_pickle=False) as arrays:
-        hypotheses = tuple(_hypothesis(arrays, n) for n in range(int(arrays["count"])))
-        return Saved(int(arrays["stamp_ns"]), str(arrays["fingerprint"]), hypotheses)
+    try:
+        with np.load(io.BytesIO(data[head + 32 :]), allow_pickle=False) as arrays:
+            hypotheses = tuple(_hypothesis(arrays, n) for n in range(int(arrays["count"])))
+            saved = Saved(int(arrays["stamp_ns"]), str(arrays["fingerprint"]), hypotheses)
+    except (KeyError, ValueError, IndexError, BadZipFile) as error:  # whole, but written by another program
+        raise StateFileError(f"{path.name}: does not hold what it should: {error}") from error
+    if not hypotheses or not all(_sound(h.state) for h in hypotheses):
+        raise StateFileError(f"{path.name}: holds a state that is not finite and positive definite")
+    return saved
+
+
+def _sound(state: State) -> bool:
+    """Whether a state is one: sizes that fit, finite, positive definite."""
+    size = HEAD + 3 * len(state.starts)
+    if state.mean.shape != (size,) or state.covariance.shape != (size, size):
+        return False
+    if not (np.isfinite(state.mean).all() and np.isfinite(state.covariance).all()):
+        return False
+    return bool(np.linalg.eigvalsh(state.covariance)[0] > 0.0)
+
+
+def _flush(directory: Path) -> None:
+    """The renaming itself on disk, where the system can do that."""
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _hypothesis(arrays: np.lib.npyio.NpzFile, n: int) -> Hypothesis:

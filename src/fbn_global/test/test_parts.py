@@ -206,7 +206,7 @@ def test_a_match_contradicted_by_a_better_place_is_lost_and_found_again_there() 
 
 
 def test_a_place_without_rival_is_no_match_while_chance_may_have_made_it() -> None:
-    assert verdicts([mode(HERE, 0.995)], [mode(HERE, 0.995)])[-1].state is Localization.UNMATCHED
+    assert verdicts([mode(HERE, 0.992)], [mode(HERE, 0.992)])[-1].state is Localization.UNMATCHED
 
 
 def test_too_few_features_are_no_match_however_sure() -> None:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +15,7 @@ import pytest
 from fbn_common.estimator import Output
 from fbn_common.records import Innovation, Odometry, PoseWithCovarianceStamped, Verdict
 from fbn_common.types import NS
+from fbn_global import persistence
 from fbn_global.estimator import Global
 from fbn_global.parameters import GlobalParameters
 from fbn_testing.composite_world import DATUM, Run, Settings, World, charles_river
@@ -85,6 +90,59 @@ def test_one_flipped_bit_is_damage(run: Run, parameters: GlobalParameters) -> No
     path.write_bytes(bytes(data))
     _, outputs = again(run, parameters, 5.0)
     assert "damaged" in answers(outputs)[0][1]
+
+
+def rewritten(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """The file with other arrays in it, and a checksum that fits them."""
+    head = len(persistence._MAGIC)
+    with np.load(io.BytesIO(path.read_bytes()[head + 32 :])) as loaded:
+        arrays = dict(loaded)
+    change(arrays)
+    body = io.BytesIO()
+    np.savez(body, **arrays)
+    path.write_bytes(persistence._MAGIC + hashlib.sha256(body.getvalue()).digest() + body.getvalue())
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda a: a.pop("mean_0"), "does not hold what it should"),
+        (lambda a: a.update(mean_0=a["mean_0"][:-1]), "not finite and positive definite"),
+        (lambda a: a["covariance_0"].__setitem__((0, 0), np.nan), "not finite and positive definite"),
+        (lambda a: a["covariance_0"].__setitem__((1, 1), -1.0), "not finite and positive definite"),
+        (lambda a: a.update(count=np.array(0)), "not finite and positive definite"),
+    ],
+)
+def test_a_whole_file_with_senseless_content_is_refused_by_name(
+    run: Run, parameters: GlobalParameters, change: Callable[[dict[str, Any]], object], reason: str
+) -> None:
+    finish(run, parameters)
+    rewritten(Path(parameters.state_file), change)
+    _, outputs = again(run, parameters, 5.0)
+    verdict, text = answers(outputs)[0]
+    assert verdict is Verdict.REFUSED
+    assert text.startswith("state.fbn") and reason in text
+    assert not [o for o in outputs if isinstance(o.record, PoseWithCovarianceStamped)]
+
+
+def test_a_crash_while_writing_leaves_the_old_state(
+    run: Run, parameters: GlobalParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finish(run, parameters)
+    before = Path(parameters.state_file).read_bytes()
+
+    def crash(*_: object) -> None:
+        raise OSError("power is gone")
+
+    monkeypatch.setattr("fbn_global.persistence.os.replace", crash)
+    finish(run, replace(parameters, method="POS"))
+    assert Path(parameters.state_file).read_bytes() == before
+
+
+def test_where_nothing_can_be_written_the_filter_goes_on_and_says_so(run: Run, tmp_path: Path) -> None:
+    estimator = finish(run, GlobalParameters(state_file=str(tmp_path / "missing" / "state.fbn")))
+    values = estimator.health().values
+    assert values["count state_file refused"] == values["count composite used"]
 
 
 def test_a_state_of_another_map_or_too_old_is_refused(run: Run, parameters: GlobalParameters) -> None:

@@ -31,6 +31,7 @@ class Model(NamedTuple):
     fin_lift: float
     buoyancy: float
     righting: Array  # roll, pitch
+    steering_exponent: float
     surface_loss: float
     surface_depth: float
 
@@ -48,6 +49,7 @@ def model_of(d: Dynamics) -> Model:
         d.fin_lift,
         d.buoyancy,
         np.array([d.righting_roll, d.righting_pitch]),
+        d.steering_exponent,
         d.surface_loss,
         d.surface_depth,
     )
@@ -58,7 +60,8 @@ def actuation(model: Model, actuators: Array, speed: float, depth: float, out: A
     """Unit force 3 and torque 3, and their slopes by forward speed 6, into ``out`` (12,).
 
     ``actuators``: propeller [rad/s], pan, tilt, rudder, stern plane [rad].  The propeller is at the stern: pushed
-    left (pan) it turns the bow right.  Fins act by speed squared.
+    left (pan) it turns the bow right.  Fins act by speed squared.  Damping is linear where drag is nearly quadratic,
+    so what steering takes from the force ahead enters with the power by which speed follows force.
     """
     rate, pan, tilt, rudder, plane = actuators[0], actuators[1], actuators[2], actuators[3], actuators[4]
     thrust = np.sign(rate) * (abs(rate) / model.propeller_reference) ** model.thrust_exponent
@@ -66,7 +69,7 @@ def actuation(model: Model, actuators: Array, speed: float, depth: float, out: A
         thrust *= 1.0 - model.surface_loss
     dynamic, slope = (speed / model.design_speed) ** 2, 2.0 * speed / model.design_speed**2
     ahead, side, down = np.cos(pan) * np.cos(tilt), np.sin(pan) * np.cos(tilt), np.sin(tilt)
-    out[0] = thrust * ahead
+    out[0] = thrust * max(ahead, 0.0) ** model.steering_exponent
     out[1] = thrust * side + model.fin_lift * dynamic * rudder
     out[2] = -thrust * down - model.fin_lift * dynamic * plane
     out[3] = thrust

@@ -30,7 +30,9 @@ class Predict:
         self.model = model_of(parameters.dynamics)
         self.slots = nanoseconds(parameters.history + parameters.max_gap) // GRID_NS + 200
         n = parameters.noise
-        self._levels = Levels(np.array(n.velocity), np.array(n.turn_rate), n.surge, n.surge_time, n.surge_depth)
+        self._levels = Levels(
+            np.array(n.velocity), np.array(n.turn_rate), np.array(n.wave_turn), n.surge, n.surge_time, n.surge_depth
+        )
         self._counts: Counter[str] = Counter()
         self._inbox: list[tuple[str, Record]] = []
         self._reset()

@@ -45,9 +45,20 @@ class Dynamics:
         0.0, "m/s^2", "side force of a radian of rudder or plane at terminal speed, over lateral gain", "no fins"
     )
     buoyancy: float = param(0.017, "m/s^2", "excess over weight, per mass across; fades at the surface", "1 N")
+    steering_exponent: float = param(
+        0.4,
+        "-",
+        "force ahead falls as this power of cos pan cos tilt",
+        "its effect on speed: 0.5 by quadratic drag, less by inflow",
+    )
     righting_roll: float = param(19.0, "1/s^2", "righting torque per sine of roll", "metacentric height 12 mm")
     righting_pitch: float = param(0.57, "1/s^2", "righting torque per sine of pitch", "metacentric height 12 mm")
-    surface_loss: float = param(0.1, "-", "part of the thrust lost at the surface", "ventilation")
+    surface_loss: float = param(
+        0.02,
+        "-",
+        "part of the thrust lost at the surface, by its effect on speed",
+        "15 % for half of the time, power 0.4",
+    )
     surface_depth: float = param(0.2, "m", "depth above which the surface counts", "hull diameter")
 
     def __post_init__(self) -> None:
@@ -75,7 +86,12 @@ class Noise:
     velocity: Triple = param(
         (0.02, 0.03, 0.03), "m/s", "standing error of velocity, body axes", "simulated turns and waves"
     )
-    turn_rate: Triple = param((0.1, 0.04, 0.04), "rad/s", "standing error of turn rates", "trim and servo zeros")
+    turn_rate: Triple = param(
+        (0.04, 0.008, 0.008), "rad/s", "standing error of turn rates under water", "trim, servo zeros; simulated dives"
+    )
+    wave_turn: Triple = param(
+        (0.1, 0.03, 0.02), "rad/s", "the same by waves at the surface; falls as surge does", "waves of 0.25 m, 3 s"
+    )
     surge: float = param(0.12, "m/s", "standard deviation of wave surge at the surface", "waves of 0.25 m, 3 s")
     surge_time: float = param(1.0, "s", "correlation time of surge", "waves of 5 s")
     surge_depth: float = param(2.0, "m", "depth over which surge falls by e", "waves of 3 s: 14 m long")

@@ -33,6 +33,7 @@ class Levels(NamedTuple):
 
     velocity: Vec3
     turn_rate: Vec3
+    wave_turn: Vec3
     surge: float
     surge_time: float
     surge_depth: float
@@ -62,11 +63,12 @@ def noise_of_step(linear: Vec3, angular: Vec3, dt: float, q: Array) -> None:
 @kernel
 def _noise(p: Array, depth: float, levels: Levels, dt: float, q: Array) -> None:
     """A step's noise: a standing error s of velocity is kept up by white acceleration of density ``2 D s^2``."""
-    surge = levels.surge * np.exp(-max(depth, 0.0) / levels.surge_depth)
+    fade = np.exp(-max(depth, 0.0) / levels.surge_depth)
+    surge = levels.surge * fade
     linear, angular = np.empty(3), np.empty(3)
     for i in range(3):
         linear[i] = 2.0 * p[3 + i] * levels.velocity[i] ** 2 + 2.0 * levels.surge_time * (p[3 + i] * surge) ** 2
-        angular[i] = 2.0 * p[6 + i] * levels.turn_rate[i] ** 2
+        angular[i] = 2.0 * p[6 + i] * (levels.turn_rate[i] ** 2 + (fade * levels.wave_turn[i]) ** 2)
     noise_of_step(linear, angular, dt, q)
 
 

@@ -50,6 +50,12 @@ def test_half_the_propeller_rate_gives_half_the_speed() -> None:
     assert velocity[0] == pytest.approx(0.375, abs=1e-5)
 
 
+def test_a_steered_propeller_slows_the_vehicle_by_the_power_of_the_force_that_is_left() -> None:
+    straight = replace(RANGER, buoyancy=0.0, angular_actuation=(0.0, 0.0, 0.0), lateral_actuation=0.0)
+    velocity, _ = settled(straight, [RATE, 0.5, 0.3, 0, 0])
+    assert velocity[0] == pytest.approx(0.75 * (np.cos(0.5) * np.cos(0.3)) ** 0.4, abs=1e-5)
+
+
 @pytest.mark.parametrize(("dynamics", "actuators"), [(RANGER, [RATE, 0.1, 0, 0, 0]), (FINNED, [RATE, 0, 0, 0.1, 0])])
 def test_positive_pan_and_positive_rudder_turn_the_bow_right(dynamics: Dynamics, actuators: list[float]) -> None:
     velocity, _ = settled(dynamics, actuators, 10.0)

@@ -15,6 +15,7 @@ from fbn_common.motion_ekf.intake import Intake
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
     BEACON_ROW,
+    COMPASS,
     ESTIMATED_REFERENCE,
     GPS,
     GPS_ROW,
@@ -22,6 +23,7 @@ from fbn_common.motion_ekf.layout import (
     WATER,
     X_PARAMETERS,
     Config,
+    IntArray,
     Kind,
 )
 from fbn_common.motion_ekf.monitor import all_finite, content_of
@@ -62,17 +64,23 @@ class Reference(MotionFilter):
         """The kernels' numbers."""
         gps, lbl = self.own.gps, self.own.lbl
         base = super().config()
-        base.tau[GPS - 27 :] = gps.time_constant
+        base.tau[GPS - COMPASS :] = gps.time_constant
         base.lever[Kind.POSITION], base.lever[Kind.RANGE] = gps.position, lbl.position
         base.lockout[Kind.RANGE] = lbl.lockout
         base.gate[:, Kind.RANGE] = quantile_table({Kind.RANGE: lbl.gate})[:, Kind.RANGE]
         return base._replace(
             white=gps.white,
             correlated=gps.correlated**2,
-            surface_depth=gps.surface_depth,
+            fix_depth=gps.surface_depth,
             rule=gps.rule,
             drop_s=lbl.drop,
         )
+
+    def corrects(self) -> IntArray:
+        """As the base class; what measures position corrects everything."""
+        rows = super().corrects()
+        rows[[Kind.POSITION, Kind.RANGE]] = 0, ESTIMATED_REFERENCE
+        return rows
 
     def position_variance(self) -> float:
         """Of x and y at the start [m^2]."""

@@ -11,7 +11,7 @@ import pytest
 
 from fbn_common.estimator import Output
 from fbn_common.geodesy import geodetic_from_enu
-from fbn_common.motion_ekf.layout import WATER
+from fbn_common.motion_ekf.layout import WATER, X_PARAMETERS
 from fbn_common.records import (
     BeaconRange,
     Datum,
@@ -255,3 +255,12 @@ def test_gps_can_be_switched_off_by_parameter(sailed: Sailed, surfaced: Twin) ->
     arrivals = [a for a in fixes(surfaced) if a[0] < START_NS + 10e9]
     outputs, _ = sailed(arrivals, ReferenceParameters(gps=GpsParameters(use=False)))
     assert {a.reason for a in answers(outputs, "gps")} == {"switched off by parameter"}
+
+
+def test_without_position_the_water_stays_as_it_was_believed(sailed: Sailed) -> None:
+    """Compass and depth see the water only through the model's lateral forces: what they say of it is model error."""
+    _, reference = sailed([a for a in on_time(sail(PredictParameters(), 60.0, 1006)) if a[1] != "gps/fix"])
+    prior = PredictParameters().doubt.water[0] ** 2
+    water = slice(WATER, WATER + 2)
+    assert np.array_equal(reference.ekf.state.x[X_PARAMETERS + 12 : X_PARAMETERS + 14], np.zeros(2))
+    assert np.diagonal(reference.ekf.state.covariance[water, water]).min() >= prior

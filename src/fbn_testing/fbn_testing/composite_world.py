@@ -13,6 +13,7 @@ from itertools import pairwise
 from math import exp
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from fbn_common.geodesy import GeodeticPoint, geodetic_from_enu
 from fbn_common.lie import matrix_from_rpy, quaternion_from_matrix
@@ -83,7 +84,7 @@ def draw_map(s: Settings, rng: np.random.Generator) -> tuple[PriorMap, Array]:
     extra = round(s.surplus * len(s.features))
     places = np.vstack([s.features[kept], np.column_stack([rng.uniform(low, high, (extra, 2)), np.full(extra, -4.0)])])
     ids = [*kept.tolist(), *(1000 + k for k in range(extra))]
-    distance = np.sqrt(((places[:, None, :2] - places[None, :, :2]) ** 2).sum(axis=2))
+    distance = cdist(places[:, :2], places[:, :2])
     root = np.linalg.cholesky(s.map_error**2 / (1 + distance / s.map_length) + s.map_own**2 * np.eye(len(ids)))
     stated = places.copy()
     stated[:, :2] += root @ rng.standard_normal((len(ids), 2)) + np.array(s.map_shift)

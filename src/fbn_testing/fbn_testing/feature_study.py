@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import track as progress
 from rich.table import Table
 
-from fbn_common.chi_square import bound
+from fbn_common import chi_square
 from fbn_common.types import Array
 from fbn_testing.feature_figures import Section, draw_sections
 from fbn_testing.feature_judge import Verdict, judge
@@ -164,7 +164,7 @@ def _mean(by_seed: list[list[float]]) -> str:
 
 
 def _band(dof: int, seeds: int) -> str:
-    low, high = (float(bound(p, dof * seeds)) / (dof * seeds) for p in (0.025, 0.975))
+    low, high = chi_square.band(dof * seeds)
     return f"{low:.2f} to {high:.2f}"
 
 

@@ -1,70 +1,109 @@
 """What the data of a run along like rows can tell at all: the posterior of an ideal observer.
 
-The observer is told what the filter has to find out: the true identity of everything found, where every sweep went,
-how the sonar detects, and that the map fits in one of its places; it knows the map's and the fix's errors as they are
-stated, and that features may be missing, as the filter's parameters say.  Left to it is the one question that rows
-pose: by how many rows and columns the map lies off.  By Bayes' rule, over all such shifts ``k``:
+The observer is told what the filter has to find out: which feature each track is and where it truly lies, where every
+sweep went, how the sonar detects, and that the map fits at one of its places.  For the rest it has the filter's own
+likelihoods: the map's error and the fix's as they are stated, and how many features may be missing or off the map.
+Left to it is the one question that rows pose: by how many columns and rows the map lies off.  By Bayes' rule, over
+all such shifts ``k``:
 
-    log P(k | data) = log N(displacement; 0, map^2 + fix^2 + drift^2)
-                    + sum over places with an object under k:  log p + gain, if found;  log(1 - p + p P(missed)), if not
+    log P(k | data) = log N(found less map; 0, map + fix + drift + size)      of all pairs that k makes, at once
+                    + log Gamma-Poisson(objects that k leaves off the map)
+                    + sum of log p over pairs + sum of log(1 - p + p P(missed)) over the map's others
 
-``gain`` is what an object on the map is likelier than one off it.  Who knows less cannot decide more often, so what the
-observer leaves undecided is beyond any filter that makes these assumptions.
+Who knows less can rarely decide more; what it leaves undecided, hardly any filter with these assumptions can decide.
 """
 
 from __future__ import annotations
 
-from math import log, pi
+from math import log
 
 import numpy as np
-from scipy.stats import binom
+from scipy.spatial.distance import cdist
+from scipy.special import bdtr
+from scipy.stats import multivariate_normal
 
 from fbn_common.records import CompositeMeasurement, SweptArea
 from fbn_common.types import Array, seconds
+from fbn_global.naps import surplus_log
 from fbn_global.parameters import GlobalParameters
 from fbn_testing.composite_world import Run, Settings
 from fbn_testing.matching_worlds import COLUMNS, ROWS, SPACING
 
-Place = tuple[int, int]  # column and row of the grid
-_SHIFTS = [(a, b) for a in range(-4, 5) for b in range(-2, 3)]
+Shift = tuple[int, int]  # columns, rows
+_SHIFTS = [(a, b) for a in range(1 - COLUMNS, COLUMNS) for b in range(1 - ROWS, ROWS)]
 
 
-def posterior(s: Settings, run: Run, parameters: GlobalParameters) -> dict[Place, float]:
-    """Probability of each shift (columns, rows) of the map; (0, 0) is the truth."""
-    composites = [r for _, r in run.entries if isinstance(r, CompositeMeasurement)]
-    found = {divmod(i, COLUMNS)[::-1] for i in run.key_feature.values() if i >= 0}
-    missed = _chances_to_miss(s, run, composites)
-    gain = _gain(s, run, composites, parameters)
-    begin_s = _first_found_s(composites)
-    scores = np.array([_score(s, k, found, missed, gain, begin_s, parameters) for k in _SHIFTS])
+def posterior(s: Settings, run: Run, parameters: GlobalParameters) -> dict[Shift, float]:
+    """Probability of each shift of the map; (0, 0) is the truth."""
+    observer = Observer(s, run, parameters)
+    scores = np.array([observer.score(shift) for shift in _SHIFTS])
     weights = np.exp(scores - scores.max())
     return dict(zip(_SHIFTS, (weights / weights.sum()).tolist(), strict=True))
 
 
-def _score(
-    s: Settings, shift: Place, found: set[Place], missed: dict[Place, float], gain: float, begin_s: float,
-    parameters: GlobalParameters,
-) -> float:  # fmt: skip
-    p = parameters.prior.existence
-    displacement = np.array(s.map_shift) + SPACING * np.array(shift)
-    variance = s.map_sigma**2 + s.fix_sigma**2 + (s.drift_sigma * begin_s) ** 2
-    score = -0.5 * float(displacement @ displacement) / variance
-    for column in range(COLUMNS):
-        for row in range(ROWS):
-            place = (column - shift[0], row - shift[1])
-            score += log(p) + gain if place in found else log(1.0 - p + p * missed.get(place, 1.0))
-    return score
+class Observer:
+    """All that the observer is told of one run."""
+
+    def __init__(self, s: Settings, run: Run, parameters: GlobalParameters) -> None:
+        self.s, self.p = s, parameters
+        self.composites = [r for _, r in run.entries if isinstance(r, CompositeMeasurement)]
+        self.bases = [run.truth[c.start_ns][:2] for c in self.composites]
+        self.found = sorted({i for i in run.key_feature.values() if i >= 0})
+        self.clutter = sum(i < 0 for i in run.key_feature.values())
+        self.stated = run.prior.positions(run.datum)[:, :2]
+        self.area = sum(float((c.swept.scans > 0).mean()) * _size(c.swept) for c in self.composites) / 2.0  # overlap
+        first = next((c for c in self.composites if c.features), self.composites[-1])
+        drift = s.drift_sigma * seconds(first.stamp_ns - self.composites[0].start_ns)
+        self.common = s.fix_sigma**2 + drift**2
+
+    def score(self, shift: Shift) -> float:
+        """Log probability of the data and of a shift, but for a constant."""
+        pairs = [(i, j) for i in self.found if (j := _moved(i, shift)) is not None]
+        rows = {j for _, j in pairs}
+        p = self.p.prior.existence
+        fit = self._fit(pairs) + len(pairs) * log(p)
+        fit += surplus_log(len(self.found) - len(pairs) + self.clutter, self.area, self.p.scoring)
+        offset = self._offset(shift)
+        others = [self.stated[j] + offset for j in range(COLUMNS * ROWS) if j not in rows]
+        return fit + sum(log(1.0 - p + p * self._missed(xy)) for xy in others)
+
+    def _fit(self, pairs: list[tuple[int, int]]) -> float:
+        """Log density of the differences of all pairs at once, horizontally; heights tell nothing of a shift."""
+        if not pairs:
+            return 0.0
+        found, stated = (np.array(rows) for rows in zip(*pairs, strict=True))
+        difference = self.s.features[found, :2] - self.stated[stated]
+        apart = cdist(self.stated[stated], self.stated[stated])
+        own = self.s.feature_sigma**2 + self.s.map_own**2 + self.p.matching.object_sigma**2
+        covariance = self.s.map_sigma**2 / (1.0 + apart / self.s.map_length) + self.common + own * np.eye(len(pairs))
+        density = multivariate_normal(np.zeros(len(pairs)), covariance)
+        height = -len(pairs) * 0.5 * log(2.0 * np.pi * np.e * (2.0 + self.p.prior.up_common**2))
+        return float(density.logpdf(difference[:, 0]) + density.logpdf(difference[:, 1])) + height
+
+    def _offset(self, shift: Shift) -> Array:
+        """What takes a place of the map to where a shift says that it is (2,) [m]."""
+        truly = (self.s.features[:, :2] - self.stated).mean(axis=0)
+        return np.asarray(truly - SPACING * np.array(shift))
+
+    def _missed(self, xy: Array) -> float:
+        """Chance that an object there is promoted in no sweep."""
+        scans = np.array([_scans(c.swept, xy - base) for c, base in zip(self.composites, self.bases, strict=True)])
+        enough = np.maximum(scans, self.s.promotion).astype(np.int64)
+        return float(
+            np.where(scans < self.s.promotion, 1.0, bdtr(self.s.promotion - 1, enough, self.s.visibility)).prod()
+        )
 
 
-def _chances_to_miss(s: Settings, run: Run, composites: list[CompositeMeasurement]) -> dict[Place, float]:
-    """Chance that an object at each place is never promoted in all sweeps."""
-    places = [(c, r) for c in range(-6, COLUMNS + 6) for r in range(-3, ROWS + 3)]
-    chances = {}
-    for place in places:
-        xy = SPACING * np.array(place, dtype=float)
-        scans = [_scans(c.swept, xy - run.truth[c.start_ns][:2]) for c in composites]
-        chances[place] = float(np.prod([binom.cdf(s.promotion - 1, round(n), s.visibility) for n in scans]))
-    return chances
+def _moved(feature: int, shift: Shift) -> int | None:
+    """The feature that lies a shift away in the grid."""
+    row, column = divmod(feature, COLUMNS)
+    column, row = column + shift[0], row + shift[1]
+    return row * COLUMNS + column if 0 <= column < COLUMNS and 0 <= row < ROWS else None
+
+
+def _size(area: SweptArea) -> float:
+    """All cells of a grid [m^2]."""
+    return area.width * area.height * area.cell_size**2
 
 
 def _scans(area: SweptArea, xy: Array) -> float:
@@ -72,19 +111,3 @@ def _scans(area: SweptArea, xy: Array) -> float:
     column, row = (int(v) for v in np.floor((xy - area.origin) / area.cell_size))
     inside = 0 <= column < area.width and 0 <= row < area.height
     return float(area.scans[row * area.width + column]) if inside else 0.0
-
-
-def _gain(s: Settings, run: Run, composites: list[CompositeMeasurement], parameters: GlobalParameters) -> float:
-    """Log of how much likelier a found object is on the map than off it: peaked density against that of surplus."""
-    m, q = parameters.matching, parameters.scoring
-    horizontal = s.feature_sigma**2 + s.map_own**2 + m.object_sigma**2
-    vertical = 1.0 + parameters.prior.up_sigma**2 + m.object_up_sigma**2
-    peak = -1.5 * (log(2.0 * pi) + 1.0) - log(horizontal) - 0.5 * log(vertical)  # a residual of one sigma on each axis
-    area = max(float((c.swept.scans > 0).sum()) * c.swept.cell_size**2 for c in composites)
-    return peak + log((q.surplus_area + area) * q.height_span / (q.surplus_count + len(run.key_feature)))
-
-
-def _first_found_s(composites: list[CompositeMeasurement]) -> float:
-    """Time from the first fix until something was found [s]."""
-    first = next((c for c in composites if c.features), composites[-1])
-    return seconds(first.stamp_ns - composites[0].start_ns)

@@ -59,9 +59,11 @@ def drawn(seed: int) -> Run:
     return elsewhere(seed) if kind == 2 else World(river_world(seed, missing=0.2, surplus=0.2)).make()
 
 
-def large_world(seed: int, count: int) -> Settings:
-    """A run through the middle of a field of so many features, one in 20 m x 20 m."""
-    rng = np.random.default_rng(seed)
-    side = SPACING * np.sqrt(count)
-    features = np.column_stack([rng.uniform(-side / 2, side / 2, (count, 2)), np.full(count, -4.0)])
-    return Settings(features, ((-80.0, 0.0), (80.0, 0.0), (80.0, 30.0), (-80.0, 30.0)), seed=seed)
+def lattice_world(seed: int, count: int) -> Settings:
+    """A run through the middle of like rows of so many features, the map known to three rows only."""
+    columns = round(count**0.5 * 1.15)
+    features = grid(columns, -(-count // columns), SCATTER, seed)[:count]
+    middle = features.mean(axis=0)
+    legs = [(-50.0, -10.0), (70.0, -10.0), (70.0, 30.0), (-50.0, 30.0)]
+    drawn_legs = tuple((float(middle[0]) + x, float(middle[1]) + y) for x, y in legs)
+    return Settings(features, drawn_legs, seed=seed, map_sigma=30.0, map_error=3.0)

@@ -2,9 +2,11 @@
 
 python -m fbn_testing.motion_study transit --seeds 0:50
 python -m fbn_testing.motion_study transit --seeds 0:50 --current 0.2 --compare --figure transit.png
+python -m fbn_testing.motion_study faults
 
 Only predict, dead reckoning and reference run, on ``no_map_transit``: four calibration dives, then 1.7 km under
-water.  ``--scenario`` and ``--set`` change the simulator's and the estimators' parameters (as in ``fbn``'s ``--set``).
+water; ``faults`` spoils each sensor in each way for 25 s of a short voyage.  ``--scenario`` and ``--set`` change the
+simulator's and the estimators' parameters (as in ``fbn``'s ``--set``).
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ import yaml
 from scipy.stats import chi2
 
 from fbn_bringup.ui import number, out, progress, table
-from fbn_testing.motion_voyage import NIS_GROUPS, Judged, front_half, judge, navigate, transit
+from fbn_testing.motion_faults import BEGIN_S, END_S, KINDS, SENSORS, Cell, cell, listen, voyage
+from fbn_testing.motion_voyage import NIS_GROUPS, Judged, front_half, in_map, judge, navigate, transit
 
 MEASURES = {
     "drift_percent": "dead reckoning's error [% of distance]",
@@ -48,7 +51,14 @@ def voyages(
         for i, seed in enumerate(seeds):
             advance(i / len(seeds), f"seed {seed}")
             simulation = transit(current, seed, scenario)
-            found.append(judge(simulation, navigate(front_half(settings), simulation.records(), shared)))
+            found.append(
+                judge(
+                    simulation,
+                    navigate(
+                        front_half(in_map(simulation.scenario.world.datum) | settings), simulation.records(), shared
+                    ),
+                )
+            )
     return found
 
 
@@ -64,8 +74,8 @@ def report(title: str, found: list[Judged]) -> None:
         values = np.array([j.values[name] for j in found])
         honest.add_row(label, number(float(values.mean())), _band(dof * len(found)), *_two(values))
     for name in NIS_GROUPS:
-        total, dof = (sum(j.nis[name][k] for j in found) for k in (0, 1))
-        honest.add_row(f"NIS {name}", number(total / dof if dof else None), _band(int(dof)), "", "")
+        total, dof = sum(j.nis[name][0] for j in found), sum(j.nis[name][1] for j in found)
+        honest.add_row(f"NIS {name}", number(total / dof if dof else None), _band(dof), "", "")
     out.print(reached)
     out.print(honest)
 
@@ -110,6 +120,32 @@ def _transit(a: argparse.Namespace) -> None:
         figure(a.figure, f"current {a.current:g} m/s, {len(seeds)} seeds", groups)
 
 
+def _faults(a: argparse.Namespace) -> None:
+    twin, entries = voyage(int(a.seed))
+    chosen = [(topic, kind) for topic in SENSORS for kind in KINDS if a.only in (None, topic, kind)]
+    good, rows = listen(entries), []
+    with progress("faults") as advance:
+        for i, (topic, kind) in enumerate(chosen):
+            advance(i / len(chosen), f"{topic} {kind}")
+            rows.append(cell(twin, entries, good, topic, kind))
+    fault_report(rows)
+
+
+def fault_report(rows: list[Cell]) -> None:
+    """Print the table of faults."""
+    about = f"a fault from {BEGIN_S:g} to {END_S:g} s; most that it moved the estimates"
+    titles = ("named [s]", "by", "track [m]", "z [m]", "yaw [deg]", "map [m]", "used again [s]", "sigmas", "sound")
+    shown = table(about, "sensor", "fault", *(t.replace("[", "\\[") for t in titles), left=2)
+    for c in rows:
+        moved = (number(v) for v in (c.drift, c.depth, float(np.degrees(c.yaw)), c.absolute))
+        named, again = (number(v, 1) for v in (c.named_s, c.used_again_s))
+        shown.add_row(
+            c.sensor, c.kind, named, c.said[:24], *moved, again, number(c.worst, 1), "yes" if c.sound else "NO"
+        )
+    shown.caption = "sigmas: largest error of position at the end over its own standard deviation"
+    out.print(shown)
+
+
 def seed_range(text: str) -> range:
     """``a:b`` as Python's range, or one seed."""
     first, colon, last = text.partition(":")
@@ -134,6 +170,10 @@ def main() -> None:
     p.add_argument("--scenario", action="append", default=[], metavar="NAME=VALUE", help="of the simulator")
     p.add_argument("--set", action="append", default=[], metavar="NODE.NAME=VALUE", help="of an estimator")
     p.set_defaults(study=_transit)
+    p = studies.add_parser("faults", help="each sensor with each fault")
+    p.add_argument("--seed", default="3", help="of the voyage")
+    p.add_argument("--only", metavar="TOPIC|KIND", help="one sensor's topic, or one kind of fault")
+    p.set_defaults(study=_faults)
     arguments = parser.parse_args()
     arguments.study(arguments)
 

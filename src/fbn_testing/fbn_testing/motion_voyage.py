@@ -12,8 +12,9 @@ from fbn_bringup.configuration import load_parameters
 from fbn_bringup.evaluation.consistency import nees
 from fbn_bringup.evaluation.dives import Dive
 from fbn_bringup.evaluation.errors import ErrorSeries, against, drift
-from fbn_bringup.evaluation.series import Track, track
+from fbn_bringup.evaluation.series import Stamps, Track, track
 from fbn_common.estimator import Estimator
+from fbn_common.geodesy import GeodeticPoint
 from fbn_common.graph import GRAPH
 from fbn_common.motion_ekf.lockstep import Arrival, play
 from fbn_common.records import Innovation, Odometry, VehicleParameters, Verdict
@@ -62,6 +63,12 @@ def transit(current: float, seed: int, overrides: Mapping[str, Any] | None = Non
         "sea.current_speed_max": current,
     }
     return simulate(load_scenario("no_map_transit", chosen | dict(overrides or {})), seed)
+
+
+def in_map(datum: GeodeticPoint) -> dict[str, Any]:
+    """Settings that lay the reference filter's ``map`` on truth's."""
+    place = {"latitude": datum.latitude, "longitude": datum.longitude, "height": datum.height}
+    return {f"reference.map.datum.{name}": value for name, value in place.items()} | {"reference.map.datum_given": True}
 
 
 def front_half(settings: Mapping[str, Any] | None = None) -> dict[str, Estimator]:
@@ -126,12 +133,12 @@ def judge(simulation: Simulation, kept: Kept) -> Judged:
     return Judged(values, _nis(simulation, kept), distance, np.asarray(np.linalg.norm(grown, axis=1)), sigma)
 
 
-def _rows(errors: ErrorSeries, leg: Dive) -> Array:
+def _rows(errors: ErrorSeries, leg: Dive) -> Stamps:
     stamps = errors.track.stamp_ns
-    return np.flatnonzero((stamps >= leg.start_ns) & (stamps <= leg.end_ns))
+    return np.flatnonzero((stamps >= leg.start_ns) & (stamps <= leg.end_ns)).astype(np.int64)
 
 
-def _nees(errors: ErrorSeries, rows: Array, part: slice) -> float:
+def _nees(errors: ErrorSeries, rows: Stamps, part: slice) -> float:
     """Mean NEES over its degrees of freedom of some rows of an error series."""
     all_errors = np.concatenate([errors.position, errors.rotation], axis=1)[rows][:, part]
     covariance = errors.track.covariance[rows][:, part, part]
@@ -170,4 +177,4 @@ def _nis(simulation: Simulation, kept: Kept) -> dict[str, tuple[float, int]]:
     return found
 
 
-__all__ = ["Judged", "Kept", "Track", "front_half", "judge", "navigate", "transit"]
+__all__ = ["Judged", "Kept", "Track", "front_half", "in_map", "judge", "navigate", "transit"]

@@ -46,7 +46,7 @@ def consistency(name: str, squares: Array, dof: int | Array | Stamps) -> Consist
     if not len(squares):
         return None
     total = float(degrees.sum())
-    low, high = (float(chi_square.bound(p, total)) / total for p in (0.025, 0.975))
+    low, high = chi_square.band(total)
     inside = float(np.mean(squares <= chi_square.bound(0.95, degrees)))
     return Consistency(name, len(squares), total / len(squares), float(squares.sum()) / total, low, high, inside)
 

@@ -19,10 +19,12 @@ from fbn_common.motion_ekf.layout import (
     DAMPING,
     DEPTH_ROW,
     GRID_NS,
+    POSITION,
     SIZE_DEADRECK,
     SNAPSHOT_NS,
     WATER,
     Config,
+    IntArray,
     Kind,
 )
 from fbn_common.motion_ekf.monitor import Watch, all_finite, content_of, health_of, refusal
@@ -32,7 +34,9 @@ from fbn_common.motion_ekf.parameters import (
     CompassParameters,
     DepthParameters,
     HistoryParameters,
+    SurfaceParameters,
     WalkParameters,
+    considered,
     quantile_table,
     walk_densities,
 )
@@ -54,6 +58,7 @@ class FilterParameters:
     depth: DepthParameters = group(DepthParameters)
     altimeter: AltimeterParameters = group(AltimeterParameters)
     walk: WalkParameters = group(WalkParameters)
+    surface: SurfaceParameters = group(SurfaceParameters)
     history: HistoryParameters = group(HistoryParameters)
 
 
@@ -63,7 +68,6 @@ class MotionFilter:
     name = ""
     frame_id = ""
     size = SIZE_DEADRECK
-    first = 0
     estimated = ACTUATION + 3
 
     def __init__(self, parameters: FilterParameters, ranks: dict[str, int], rows: int) -> None:
@@ -85,18 +89,25 @@ class MotionFilter:
         """The kernels' numbers."""
         p = self.parameters
         walk, limit = walk_densities(p.walk)
-        tau = np.array([p.compass.tilt_time_constant] * 2 + [p.compass.time_constant, p.depth.time_constant, 1.0, 1.0])
-        variance = np.array([p.compass.tilt**2] * 2 + [p.compass.deviation**2, p.depth.bias**2, 1.0, 1.0])
+        tau, variance = considered(p.compass, p.depth, p.surface)
         lockout, lever = np.full(len(Kind), 1e18), np.zeros((len(Kind), 3))
         gates = {i.kind: i.parameters.gate for i in self.intakes.values()}
         for intake in self.intakes.values():
             lockout[intake.kind] = intake.parameters.lockout
         lever[Kind.DEPTH] = p.depth.position
         return Config(
-            self.first, self.estimated, SNAPSHOT_NS, walk, limit, tau, variance, p.compass.heading_scale, p.compass.dip,
-            p.compass.wave_acceleration, p.compass.wave_depth,
+            self.estimated, self.corrects(), SNAPSHOT_NS, walk, limit, tau, variance, p.compass.dip,
+            p.compass.wave_acceleration, p.compass.wave_depth, p.surface.depth, p.surface.layer_depth,
             p.depth.density_sigma / p.depth.bias, quantile_table(gates), lockout, lever, 1.0, 1.0, 1.0, True, 60.0,
         )  # fmt: skip
+
+    def corrects(self) -> IntArray:
+        """Error states (kinds, 2) that each kind of measurement corrects, first and last + 1.
+
+        Compass, depth and altimeter do not see x, y, thrust, damping and water, and what the model makes of them by
+        way of its lateral forces is its own error: they correct z, attitude, velocity and angular actuation.
+        """
+        return np.tile(np.array([POSITION + 2, ACTUATION + 3], np.int64), (len(Kind), 1))
 
     def position_variance(self) -> float:
         """Of x and y at the start [m^2]."""

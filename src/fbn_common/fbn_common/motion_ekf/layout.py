@@ -34,11 +34,13 @@ ACTUATION: Final = 12  # angular; the 15 parameters start here
 DAMPING: Final = 15
 THRUST: Final = 21
 WATER: Final = 24
-COMPASS: Final = 27  # considered: tilt about body x and y, deviation of yaw [rad]
-DEPTH: Final = 30  # considered: bias of depth [m]
-GPS: Final = 31  # considered: the correlated part of a fix, in units of its standard deviation
-SIZE_DEADRECK: Final = 31
-SIZE_REFERENCE: Final = 33
+COMPASS: Final = 27  # considered: tilt about body x and y [rad], then deviation of yaw
+DEVIATION: Final = 29  # considered: constant, sine and cosine of the heading, sine and cosine of twice that [rad]
+DEPTH: Final = 34  # considered: bias of depth [m]
+SURFACE: Final = 35  # considered: share of thrust lost at the surface, water of the top layer east, north [m/s]
+GPS: Final = 38  # considered: the correlated part of a fix, in units of its standard deviation
+SIZE_DEADRECK: Final = 38
+SIZE_REFERENCE: Final = 40
 ESTIMATED_DEADRECK: Final = 15
 ESTIMATED_REFERENCE: Final = 27
 DATA_SIZE: Final = 18
@@ -110,24 +112,25 @@ class Snapshots(NamedTuple):
 class Config(NamedTuple):
     """Numbers the kernels need; see the parameter classes for units and origin."""
 
-    first: int  # error states from here on are estimated ...
-    estimated: int  # ... up to here; the rest is considered
+    estimated: int  # error states up to here are estimated; the rest is considered
+    corrects: IntArray  # (kinds, 2) first and last + 1 of the error states that a kind of measurement corrects
     snapshot_ns: int
     walk: Array  # (15,) power spectral density of the parameters' random walks
     limit: Array  # (15,) variance above which the walk of a parameter stops
-    tau: Array  # (6,) correlation time of the considered sensor states [s]
-    variance: Array  # (6,) their stationary variance
-    heading_scale: float  # change of heading over which compass deviation decorrelates [rad]
+    tau: Array  # (13,) correlation time of the considered states from COMPASS on [s]
+    variance: Array  # (13,) their stationary variance
     dip: float  # inclination of the earth's magnetic field [rad]
     wave_acceleration: float  # standard deviation at the surface [m/s^2]
     wave_depth: float  # depth over which it falls by e [m]
+    surface_depth: float  # m, above which thrust is lost
+    layer_depth: float  # m, over which the top layer's own motion falls by e
     depth_scale: float  # uncertainty of density, as a share of depth, over the bias's standard deviation [1/m]
     gate: Array  # (4, kinds) NIS gate by degrees of freedom and kind
     lockout: Array  # (kinds,) consecutive consistent outliers after which the gate resets
     lever: Array  # (kinds, 3) of the sensor in base_link [m]
     white: float  # least share of a fix's variance that is independent from fix to fix
     correlated: float  # most of a fix's variance that is not [m^2]
-    surface_depth: float  # m, deeper than this no fix is believed
+    fix_depth: float  # m, deeper than this no fix is believed
     rule: bool  # GPS rule on
     drop_s: float  # s, for how long a beacon that lies is not listened to
 

@@ -15,6 +15,7 @@ from fbn_common.motion_ekf.layout import (
     ALTITUDE_TIME,
     COMPASS,
     DEPTH,
+    DEVIATION,
     GPS,
     POSITION,
     ROTATION,
@@ -27,19 +28,27 @@ from fbn_common.motion_ekf.layout import (
     Kind,
 )
 from fbn_common.motion_ekf.propagate import rotation_of, set_rotation
-from fbn_common.types import Array
+from fbn_common.types import Array, Mat3
 
-COLUMNS = 8
+COLUMNS = 10
 GRAVITY = 9.81  # m/s^2
 _COMPASS, _DEPTH, _CLIMB = int(Kind.COMPASS), int(Kind.DEPTH), int(Kind.CLIMB)
 _POSITION, _RANGE = int(Kind.POSITION), int(Kind.RANGE)
 
 
 @kernel
+def deviation_waves(r: Mat3) -> Array:
+    """What the deviation's coefficients (5,) are multiplied with at this attitude: hard iron once, soft iron twice."""
+    length = max(np.sqrt(r[0, 0] ** 2 + r[1, 0] ** 2), 1e-9)
+    c, s = r[0, 0] / length, r[1, 0] / length
+    return np.array([1.0, s, c, 2.0 * s * c, c * c - s * s])
+
+
+@kernel
 def _compass(
     x: Array, data: Array, config: Config, nu: Array, noise: Array, columns: IntArray, h: Array
 ) -> tuple[int, int]:
-    """``R_measured = Rz(deviation) R Exp(tilt + noise)``: 3 rows by rotation and the compass's own errors.
+    """``R_measured = Rz(deviation(yaw)) R Exp(tilt + noise)``: 3 rows by rotation and the compass's own errors.
 
     Its accelerometers take the acceleration of turns and waves for gravity, and the dipping field leaks into yaw.
     """
@@ -50,23 +59,28 @@ def _compass(
             for k in range(3):
                 difference[i, j] += r[k, i] * measured[k, j]
     nu[0:3] = so3_log(difference)
+    waves = deviation_waves(r)
+    for i in range(2):
+        columns[3 + i], h[i, 3 + i] = COMPASS + i, 1.0
+    for c in range(5):
+        columns[5 + c] = DEVIATION + c
+        for i in range(3):
+            h[i, 5 + c] = r[2, i] * waves[c]
     for i in range(3):
-        columns[i], columns[3 + i] = ROTATION + i, COMPASS + i
+        columns[i] = ROTATION + i
         h[i, i] = 1.0
-        h[i, 5] = r[2, i]
         for j in range(3):
             noise[i, j] = 0.0
             for k in range(3):
                 for m in range(3):
                     noise[i, j] += r[k, i] * data[9 + 3 * k + m] * r[m, j]
-    h[0, 3], h[1, 4] = 1.0, 1.0
     v = X_VELOCITY
     turn = (x[v + 5] * x[v] - x[v + 3] * x[v + 2]) / GRAVITY
     wave = config.wave_acceleration / GRAVITY * np.exp(min(x[2], 0.0) / config.wave_depth)
     noise[0, 0] += turn**2 + wave**2
     noise[1, 1] += wave**2
     noise[2, 2] += np.tan(config.dip) ** 2 * (turn**2 + wave**2)
-    return 3, 6
+    return 3, 10
 
 
 @kernel

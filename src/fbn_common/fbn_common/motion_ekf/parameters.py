@@ -37,12 +37,16 @@ class CompassParameters(SensorParameters):
     sigma_min: float = param(0.004, "rad", "least standard deviation believed", "0.25 deg")
     sigma_unknown: float = param(0.035, "rad", "standard deviation where none is stated", "2 deg")
     deviation: float = param(0.026, "rad", "standard deviation of the deviation of yaw", "1.5 deg after calibration")
-    tilt: float = param(0.0105, "rad", "standard deviation of the mount's tilt", "0.6 deg")
-    time_constant: float = param(600.0, "s", "correlation time of deviation", "warming up")
-    tilt_time_constant: float = param(1e5, "s", "correlation time of tilt", "a mount does not move")
-    heading_scale: float = param(
-        1.0, "rad", "change of heading over which deviation decorrelates", "once a circle: sine"
+    hard_iron: float = param(
+        0.5, "-", "share of its variance that turns once a circle", "2 of 3 of an uncompensated one"
     )
+    soft_iron: float = param(
+        0.2, "-", "share of its variance that turns twice a circle", "half of hard iron's amplitude"
+    )
+    tilt: float = param(0.0105, "rad", "standard deviation of the mount's tilt", "0.6 deg")
+    time_constant: float = param(600.0, "s", "correlation time of the constant part of deviation", "warming up")
+    iron_time_constant: float = param(1e5, "s", "correlation time of its parts by heading", "iron stays as it is")
+    tilt_time_constant: float = param(1e5, "s", "correlation time of tilt", "a mount does not move")
     wave_acceleration: float = param(
         0.3, "m/s^2", "standard deviation at the surface, taken for gravity", "waves of 0.25 m, 3 s"
     )
@@ -81,6 +85,17 @@ class AltimeterParameters(SensorParameters):
 
 
 @dataclass(frozen=True, slots=True)
+class SurfaceParameters:
+    """What is uncertain about motion at the surface only; considered, never estimated."""
+
+    loss: float = param(0.03, "-", "standard deviation of the share of thrust lost", "as much as dynamics.surface_loss")
+    depth: float = param(0.2, "m", "depth above which thrust is lost", "dynamics.surface_depth")
+    layer: float = param(0.05, "m/s", "standard deviation of the top layer's own motion", "2 % of a light wind; Stokes")
+    layer_depth: float = param(0.7, "m", "depth over which that falls by e", "wind-driven layer of sheltered water")
+    layer_time_constant: float = param(300.0, "s", "its correlation time", "gusts")
+
+
+@dataclass(frozen=True, slots=True)
 class HistoryParameters:
     """How late data may be, and what happens to clocks."""
 
@@ -101,10 +116,21 @@ class WalkParameters:
     """How fast the vehicle's parameters may change: standard deviation after an hour, and where it ends."""
 
     angular_actuation: float = param(0.1, "rad/s^2", "per root hour", "a servo horn slips, a trim changes")
-    damping: float = param(0.1, "-", "relative to 0.27 and 1.5 1/s, per root hour", "weed")
-    thrust: float = param(0.02, "m/s^2", "per root hour", "battery, propeller")
+    damping: float = param(0.02, "-", "relative to 0.27 and 1.5 1/s, per root hour", "a hull stays as it is")
+    thrust: float = param(0.003, "m/s^2", "per root hour", "1.5 % of terminal speed: battery, growth")
     water: float = param(0.06, "m/s", "per root hour, east and north", "tide: 0.3 m/s in 6 h, over minutes")
     water_limit: float = param(0.5, "m/s", "standard deviation at which the water's walk ends", "coastal")
+
+
+def considered(compass: CompassParameters, depth: DepthParameters, surface: SurfaceParameters) -> tuple[Array, Array]:
+    """Correlation times [s] and stationary variances (13,) of the considered states, the fix's own left at 1."""
+    once, twice = compass.hard_iron, compass.soft_iron
+    shares = np.array([1.0 - once - twice, once, once, twice, twice])  # sine and cosine together make a share
+    tau = [compass.tilt_time_constant] * 2 + [compass.time_constant] + [compass.iron_time_constant] * 4
+    tau += [depth.time_constant, 1e5] + [surface.layer_time_constant] * 2 + [1.0, 1.0]
+    variance = [compass.tilt**2] * 2 + [*(shares * compass.deviation**2)]
+    variance += [depth.bias**2, surface.loss**2] + [surface.layer**2] * 2 + [1.0, 1.0]
+    return np.array(tau), np.array(variance)
 
 
 def ring_sizes(length_s: float, snapshot_ns: int) -> int:

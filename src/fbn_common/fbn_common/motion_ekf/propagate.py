@@ -14,6 +14,9 @@ from fbn_common.motion_ekf.layout import (
     COMPASS,
     POSITION,
     ROTATION,
+    SURFACE,
+    THRUST,
+    WATER,
     X_PARAMETERS,
     X_ROTATION,
     X_VELOCITY,
@@ -131,8 +134,26 @@ def _transition(r: Mat3, turn: Mat3, s: Array, phi: Array, jacobian: Array, w: f
 
 
 @kernel
-def _push(p: Array, f: Array) -> None:
-    """P <- F P F' for F = [I + f on the first 12 rows; I], in place."""
+def _surface(x: Array, f: Array, config: Config) -> tuple[bool, Array]:
+    """Columns (12, 3) of the surface's own states: they act as thrust and water do, and die with depth.
+
+    The motion's Jacobian has them in it: thrust lost takes from the gain ahead, the top layer adds to the water.
+    """
+    g = np.zeros((12, 3))
+    depth = -x[2]
+    if depth > 6.0 * config.layer_depth and depth > config.surface_depth:
+        return False, g
+    lost = -x[X_PARAMETERS + 9] if depth < config.surface_depth else 0.0
+    layer = np.exp(-max(depth, 0.0) / config.layer_depth)
+    for i in range(12):
+        g[i, 0] = lost * f[i, THRUST - ROTATION]
+        g[i, 1], g[i, 2] = layer * f[i, WATER - ROTATION], layer * f[i, WATER - ROTATION + 1]
+    return True, g
+
+
+@kernel
+def _push(p: Array, f: Array, near: bool, g: Array) -> None:
+    """P <- F P F' for F = [I + f, and g where near the surface, on the first 12 rows; I], in place."""
     n = p.shape[0]
     top = np.empty((12, n))
     for i in range(12):
@@ -143,6 +164,10 @@ def _push(p: Array, f: Array) -> None:
             if a != 0.0:
                 for j in range(n):
                     top[i, j] += a * p[ROTATION + c, j]
+        if near:
+            for c in range(3):
+                for j in range(n):
+                    top[i, j] += g[i, c] * p[SURFACE + c, j]
     for i in range(12):
         for j in range(12, n):
             p[i, j] = top[i, j]
@@ -151,6 +176,9 @@ def _push(p: Array, f: Array) -> None:
             total = top[i, j]
             for c in range(24):
                 total += top[i, ROTATION + c] * f[j, c]
+            if near:
+                for c in range(3):
+                    total += top[i, SURFACE + c] * g[j, c]
             p[i, j] = total
             p[j, i] = total
 
@@ -184,16 +212,13 @@ def _add_noise(p: Array, r: Mat3, turn: Mat3, phi: Array, noise: Array, w: float
 
 
 @kernel
-def _age(p: Array, dt: float, turned: float, config: Config) -> None:
-    """Random walks of the parameters and decorrelation of the considered sensor states, in place."""
+def _age(p: Array, dt: float, config: Config) -> None:
+    """Random walks of the parameters and decorrelation of the considered states, in place."""
     for i in range(15):
         if p[ACTUATION + i, ACTUATION + i] < config.limit[i]:
             p[ACTUATION + i, ACTUATION + i] += config.walk[i] * dt
     for b in range(COMPASS, p.shape[0]):
-        exponent = dt / config.tau[b - COMPASS]
-        if b < COMPASS + 3:
-            exponent += turned / config.heading_scale
-        keep = np.exp(-exponent)
+        keep = np.exp(-dt / config.tau[b - COMPASS])
         for j in range(p.shape[0]):
             p[b, j] *= keep
             p[j, b] *= keep
@@ -234,6 +259,7 @@ def propagate(x: Array, p: Array, motions: Motions, k: int, a0: float, a1: float
     for i in range(6):
         x[X_VELOCITY + i] += w * (mean[12 + i] - mean[6 + i] + change[6 + i] - d[3 + i])
     set_rotation(x, _product(r, so3_exp(phi)))
-    _push(p, f)
+    near, g = _surface(x, f, config)
+    _push(p, f, near, g)
     _add_noise(p, r, turn, phi, motions.noise[k], w)
-    _age(p, dt, abs(phi[2]), config)
+    _age(p, dt, config)

@@ -49,7 +49,7 @@ def largest_eigenvalue(xx: float, xy: float, yy: float) -> float:
 def _refusal(kind: int, data: Array, x: Array, p: Array, row: Array, time_s: float, config: Config) -> int:
     """A reason not to look at the measurement at all."""
     if kind == _POSITION:
-        if -x[2] > config.surface_depth:
+        if -x[2] > config.fix_depth:
             return _UNDER_WATER
         if config.rule and largest_eigenvalue(p[0, 0], p[0, 1], p[1, 1]) <= largest_eigenvalue(
             data[2], data[3], data[4]
@@ -179,7 +179,7 @@ def measure(e: int, x: Array, p: Array, sensors: Array, events: Events, config: 
     events.verdict[e], events.reason[e] = _USED, reason
     sensors[s, GATED_RUN], sensors[s, LAST_USED] = 0.0, time_s
     whiten(factor, hp)
-    correct(x, p, hp, white[:, 0].copy(), config.first, config.estimated)
+    correct(x, p, hp, white[:, 0].copy(), config.corrects[kind, 0], config.corrects[kind, 1])
 
 
 @kernel

@@ -18,6 +18,7 @@ from fbn_common.motion_ekf.layout import (
     X_SIZE,
     X_VELOCITY,
 )
+from fbn_common.motion_ekf.measure import deviation_waves
 from fbn_common.motion_ekf.propagate import set_rotation
 from fbn_common.records import VehicleParameters
 from fbn_common.types import Array
@@ -49,8 +50,11 @@ def first_state(
     p[VELOCITY : VELOCITY + 6, VELOCITY : VELOCITY + 6] = np.diag(_VELOCITY_SIGMA**2)
     p[ACTUATION : WATER + 3, ACTUATION : WATER + 3] = prior.covariance + 1e-12 * np.eye(15)
     p[COMPASS:, COMPASS:] = np.diag(own)
-    h = np.column_stack((np.eye(3)[:, :2], r[2]))  # the compass's own errors turn the attitude the other way
-    attitude, errors = slice(ROTATION, ROTATION + 3), slice(COMPASS, COMPASS + 3)
+    waves = deviation_waves(np.ascontiguousarray(r))
+    h = np.column_stack(
+        (np.eye(3)[:, :2], np.outer(r[2], waves))
+    )  # the compass's own errors turn the attitude the other way
+    attitude, errors = slice(ROTATION, ROTATION + 3), slice(COMPASS, DEPTH)
     p[attitude, errors] = -h @ p[errors, errors]
     p[errors, attitude] = p[attitude, errors].T
     p[attitude, attitude] = r.T @ white @ r + h @ p[errors, errors] @ h.T

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fbn_common.motion_ekf.core import MotionEkf
-from fbn_common.motion_ekf.layout import COMPASS, GRID_NS, Config, Kind
+from fbn_common.motion_ekf.layout import COMPASS, GRID_NS, SIZE_DEADRECK, Config, Kind
 from fbn_common.motion_ekf.output import odometry
 from fbn_common.motion_ekf.start import first_state
 from fbn_common.records import PredictedMotion, VehicleParameters
@@ -33,7 +33,7 @@ def warm_up(config: Config, size: int, rows: int) -> None:
     ekf.start(first_state(0, compass, np.array([0.0, 0.01]), prior, np.zeros(6), 1.0, own, rows))
     for i in range(6):
         ekf.put_motion(standstill(i * GRID_NS))
-    last = Kind.RANGE if size > COMPASS + 4 else Kind.CLIMB
+    last = Kind.RANGE if size > SIZE_DEADRECK else Kind.CLIMB
     data = [compass, np.array([0.0, 0.01]), np.array([5.0, 0.01, 0.1, 0.0, 0.5]), np.array([0.0, 0.0, 1.0, 0.0, 1.0]),
             np.array([5.0, 0.0, 0.0, 5.0, 1.0])]  # fmt: skip
     for kind in Kind:
