@@ -1,184 +1,183 @@
-"""How well the tracker finds what is there: features, their errors and NEES, drift, time; over seeds of a scenario.
+"""The tracker's time: per ping and cut, its smoother beside gtsam's IncrementalFixedLagSmoother; flat over hours.
 
-tools/run python benchmarks/tracking.py charles_river_2006 --seeds 5
-tools/run python benchmarks/tracking.py depth_of_features --seeds 5 --elevation linear
+tools/run python benchmarks/tracking.py
+tools/run python benchmarks/tracking.py --hours 3
 
-A feature within 2 m and four sigmas of a true one is that one; any other is counted apart: patches of the bed that echo
-steadily are static things too.
+How well it finds what is there: ``python -m fbn_testing.feature_study``.
 """
 
 from __future__ import annotations
 
 import argparse
+import resource
+import sys
 import time
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from itertools import chain
 
+import gtsam
 import numpy as np
-from scipy.stats import chi2
+from graph import calibration
+from rich.console import Console
+from rich.table import Table
 
-from fbn_bringup.configuration import load_parameters
-from fbn_bringup.offline import Runner, steps
-from fbn_bringup.simulation import estimator_parameters
-from fbn_common.graph import GRAPH
-from fbn_common.lie import matrix_from_quaternion
-from fbn_common.parameters import dotted
-from fbn_common.records import CompositeMeasurement
-from fbn_common.sonar import polar
-from fbn_common.types import Array
-from fbn_sim.scenario import load_scenario
-from fbn_sim.simulation import Simulation, simulate
+from fbn_bringup.offline import Step
+from fbn_common.records import CompositeMeasurement, PingMotion, SonarDetections, TrackedFeatures
+from fbn_common.types import NS
+from fbn_testing.feature_runs import Heard, hear
+from fbn_tracking.estimator import Tracking
+from fbn_tracking.window import Window
 
-NODES = ("predict", "deadreck", "reference", "tracking")
+console = Console(highlight=False, width=110)
+LAG_S = 30.0  # of the fixed-lag smoother: an infant's ten seconds and its feature's stay
 
 
 @dataclass
-class Tally:
-    """Sums over all seeds; NEES by what it is of."""
+class Times:
+    """Seconds of CPU time."""
 
-    due: int = 0  # (dive, feature) pairs in view for ten pings or more
-    promoted: int = 0  # of those
-    others: set[tuple[int, int]] = field(default_factory=set)
-    horizontal: list[float] = field(default_factory=list)
-    depth: list[float] = field(default_factory=list)
-    motion: list[float] = field(default_factory=list)
-    depth_error: list[float] = field(default_factory=list)
-    wrong_side: list[bool] = field(default_factory=list)
-    motion_error: list[float] = field(default_factory=list)
-    dead_reckoning_error: list[float] = field(default_factory=list)
-    ping_s: list[float] = field(default_factory=list)
-    hours: float = 0.0
+    ping: list[float] = field(default_factory=list)  # everything that a ping takes, without cuts
+    cut: list[float] = field(default_factory=list)  # a ping at whose end the window was cut
+    smoother: list[float] = field(default_factory=list)  # our update alone
+    peer: list[float] = field(default_factory=list)  # the fixed-lag smoother's, on the same factors
+    failures: int = 0  # of the peer
+    tracker: Tracking | None = None
 
 
-def main() -> None:
-    """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenario")
-    parser.add_argument("--seeds", type=int, default=3, help="how many")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--elevation", choices=("cubic", "linear"), default="cubic")
-    given = parser.parse_args()
-    tally = Tally()
-    for seed in range(given.first, given.first + given.seeds):
-        study(given.scenario, seed, given.elevation, tally)
-    show(tally)
+class Peer:
+    """gtsam's fixed-lag smoother, given the window's own factors as they come; anchors are kept alive."""
 
+    def __init__(self, times: Times) -> None:
+        self.times = times
+        self.smoother = gtsam.IncrementalFixedLagSmoother(LAG_S)
+        self.window: Window | None = None
 
-def study(scenario: str, seed: int, elevation: str, tally: Tally) -> None:
-    """One seed: sensors to composites in this process, judged by the truth."""
-    simulation = simulate(load_scenario(scenario), seed)
-    graph = GRAPH.only(NODES)
-    wanted = {**dotted(estimator_parameters(simulation)), "tracking.feature.elevation": elevation}
-    known = {name: value for name, value in wanted.items() if name.split(".")[0].removeprefix("fbn_") in NODES}
-    runner = Runner.build(graph, load_parameters(graph, (), known))
-    timed(runner.hosts[-1].estimator, tally)
-    composites = []
-    for step in steps(simulation.records()):
-        composites += [r for _, r in runner.step(*step) if isinstance(r, CompositeMeasurement)]
-    judge(composites, simulation, seed, tally)
-
-
-def timed(tracker: object, tally: Tally) -> None:
-    """Let the tracker's ``advance`` note its thread time where it processed a ping."""
-    advance = tracker.advance  # type: ignore[attr-defined]
-
-    def measured(now_ns: int) -> object:
+    def update(self, window: Window, factors: object, values: gtsam.Values, begins: bool) -> None:
+        """The same new factors and values; the first of a window starts anew and is not timed."""
+        if begins or window is not self.window:
+            self.smoother, self.window = gtsam.IncrementalFixedLagSmoother(LAG_S), window
+            factors, values, begins = window.graph(window.last), window.values, True
+        now = window.pings[window.last].stamp_ns / NS
+        stamps = dict.fromkeys(values.keys(), now)
+        for i in range(factors.size()):  # type: ignore[attr-defined]
+            stamps |= dict.fromkeys(factors.at(i).keys(), now)  # type: ignore[attr-defined]
+        dated = gtsam.FixedLagSmootherKeyTimestampMap()
+        for pair in stamps.items():
+            dated.insert(pair)
         began = time.thread_time()
-        outputs = advance(now_ns)
-        if outputs:
-            tally.ping_s.append(time.thread_time() - began)
-        return outputs
-
-    tracker.advance = measured  # type: ignore[attr-defined]
-
-
-def judge(composites: list[CompositeMeasurement], simulation: Simulation, seed: int, tally: Tally) -> None:
-    """Compare composites with the truth."""
-    found: set[tuple[int, int]] = set()
-    for c in composites:
-        base, end = (simulation.truth.at(stamp).position[0] for stamp in (c.start_ns, c.stamp_ns))
-        if c.features:
-            motion = c.mean[4:6] - (end - base)[:2]
-            tally.motion.append(nees(motion, c.covariance[4:6, 4:6]))
-            tally.motion_error.append(float(np.hypot(*motion)))
-            alone = c.p2_odom.position - c.base_odom.position - (end - base)
-            tally.dead_reckoning_error.append(float(np.hypot(*alone[:2])))
-        for number in range(len(c.features)):
-            target = feature(c, number, base, simulation, seed, tally)
-            found |= {(dive_at(simulation, c.stamp_ns), target)} if target is not None else set()
-    due = in_view(simulation)
-    tally.due += len(due)
-    tally.promoted += len(due & found)
-    tally.hours += (simulation.entries[-1][0] - simulation.entries[0][0]) / 3.6e12
+        try:
+            self.smoother.update(factors, values, dated)
+            self.smoother.calculateEstimate()
+        except (RuntimeError, IndexError):
+            self.times.failures += 1
+            self.window = None
+            return
+        if not begins:
+            self.times.peer.append(time.thread_time() - began)
 
 
-def feature(
-    c: CompositeMeasurement, number: int, base: Array, simulation: Simulation, seed: int, tally: Tally
-) -> int | None:
-    """Judge one feature; gives the true one that it is."""
-    at = slice(10 + 3 * number, 13 + 3 * number)
-    xyz, P = c.mean[at] + np.array([*base[:2], 0.0]), c.covariance[at, at]
-    errors = xyz - simulation.truth.features.positions
-    target = int(np.argmin(np.hypot(*errors.T[:2])))
-    error = errors[target]
-    if np.hypot(*error[:2]) > 2.0 + 4.0 * np.sqrt(np.linalg.eigvalsh(P[:2, :2])[1]):
-        tally.others.add((seed, c.features[number].key))
-        return None
-    tally.horizontal.append(nees(error[:2], P[:2, :2]))
-    tally.depth.append(float(error[2] ** 2 / P[2, 2]))
-    tally.depth_error.append(abs(float(error[2])))
-    true_z = simulation.truth.features.positions[target][2]
-    tally.wrong_side.append(bool((xyz[2] - c.mean[6]) * (true_z - c.mean[6]) < 0.0))
-    return target
+@contextmanager
+def beside(times: Times) -> Iterator[None]:
+    """While this lasts, every window's smoother is timed and has the peer beside it."""
+    peer, own = Peer(times), Window.update
+
+    def update(window: Window) -> None:
+        factors, values, begins = window._new_factors, window._new_values, window._isam is None
+        began = time.thread_time()
+        own(window)
+        if not begins:
+            times.smoother.append(time.thread_time() - began)
+        peer.update(window, factors, values, begins)
+
+    Window.update = update  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        Window.update = own  # type: ignore[method-assign]
 
 
-def nees(error: Array, covariance: Array) -> float:
-    """Normalised estimation error squared."""
-    return float(error @ np.linalg.solve(covariance, error))
+def timed(heard: Heard, hours: float = 0.0) -> Iterator[Times]:
+    """The tracker on a mission, over and over for so many hours of its time (once for 0); times of each round."""
+    tracker = Tracking()
+    span = heard.steps[-1].end_ns - heard.steps[0].end_ns + NS
+    for round_ in range(max(1, int(hours * 3600.0 * NS / span))):
+        times = Times(tracker=tracker)
+        for step in heard.steps:
+            shift = round_ * span
+            for _, topic, record in step.logged:
+                tracker.put(topic, shifted(record, shift))
+            began = time.thread_time()
+            records = [output.record for output in tracker.advance(step.end_ns + shift)]
+            took = time.thread_time() - began
+            if any(isinstance(r, CompositeMeasurement) for r in records):
+                times.cut.append(took)
+            elif any(isinstance(r, TrackedFeatures) for r in records):
+                times.ping.append(took)
+        yield times
 
 
-def dive_at(simulation: Simulation, stamp_ns: int) -> int:
-    """Number of the dive in which, or after which, this is."""
-    return sum(dive.start_ns <= stamp_ns for dive in simulation.dives)
+def shifted(record: PingMotion | SonarDetections, by_ns: int) -> PingMotion | SonarDetections:
+    """The record as of a later time."""
+    if isinstance(record, PingMotion):
+        return replace(record, stamp_ns=record.stamp_ns + by_ns, previous_ns=record.previous_ns + by_ns)
+    return replace(record, stamp_ns=record.stamp_ns + by_ns)
 
 
-def in_view(simulation: Simulation) -> set[tuple[int, int]]:
-    """(dive, feature) pairs with ten looks or more from under water."""
-    looks: dict[tuple[int, int], set[int]] = {}
-    arrays = simulation.scenario.sensors.sonar.arrays
-    for _, topic, record in simulation.records():
-        dive = dive_at(simulation, record.stamp_ns)
-        if topic != "sonar/detections" or not dive or record.stamp_ns > simulation.dives[dive - 1].end_ns:
-            continue
-        motion, array = simulation.truth.at(record.stamp_ns), arrays[record.frame_id]
-        R = matrix_from_quaternion(motion.orientation[0])
-        places = (simulation.truth.features.positions - motion.position[0] - R @ array.position_base) @ R
-        for target, place in enumerate(places @ array.rotation_base_array):
-            r, phi, theta = polar(place)
-            inside = array.range_min < r < array.range_max and array.bearing_min < phi < array.bearing_max
-            if inside and abs(theta) < 0.5 * array.lobe_width:
-                looks.setdefault((dive, target), set()).add(record.ping)
-    return {pair for pair, pings in looks.items() if len(pings) >= 10}
+def quantiles(name: str, seconds: list[float], made: Table) -> None:
+    """A row of median, 95 % and worst [ms]."""
+    made.add_row(name, str(len(seconds)), *(f"{1e3 * np.quantile(seconds, q):.1f}" for q in (0.5, 0.95, 1.0)))
 
 
-def show(tally: Tally) -> None:
-    """Print the figures."""
-    print(f"features in view for 10 pings: {tally.due}, promoted: {tally.promoted}")
-    print(f"other static things: {len(tally.others)} in {tally.hours:.2f} h")
-    for name, values, dof in (
-        ("horizontal", tally.horizontal, 2), ("depth", tally.depth, 1), ("motion", tally.motion, 2)
-    ):  # fmt: skip
-        low, high = chi2.ppf([0.025, 0.975], dof * len(values)) / (dof * len(values))
-        print(
-            f"NEES / dof of {name}: {np.mean(values) / dof:.2f} (95 %: {low:.2f} to {high:.2f}), {len(values)} values"
-        )
-    print(f"depth: median error {np.median(tally.depth_error):.2f} m; wrong side {np.mean(tally.wrong_side):.3f}")
-    print(
-        f"motion a composite: median error {np.median(tally.motion_error):.2f} m, "
-        f"dead reckoning alone {np.median(tally.dead_reckoning_error):.2f} m"
-    )
-    median, high, most = 1e3 * np.percentile(tally.ping_s, [50, 95, 100])
-    print(f"time per ping: median {median:.1f} ms, 95 % {high:.1f} ms, most {most:.0f} ms")
+def speed(rate: float, density: int) -> Table:
+    """Times at a ping rate [Hz]; ``density`` times as many features as usual."""
+    rows = ("left_near", "right_near", "left_far", "right_far")
+    changes = {"sensors.sonar.timing.rate": rate}
+    for row in rows:
+        changes |= {f"world.rows.{row}.count": 5 * density, f"world.rows.{row}.step": (22.0 / density, 0.0)}
+    heard = hear("depth_of_features", 1000, changes)
+    (plain,) = timed(heard)
+    times = Times()
+    with beside(times):
+        list(timed(heard))
+    scans = [r for r in chain(*(_records(s) for s in heard.steps)) if isinstance(r, SonarDetections)]
+    echoes = sum(len(s.detections) for s in scans) / len({s.stamp_ns for s in scans})
+    made = Table(title=f"{rate:.0f} Hz, {echoes:.1f} echoes a ping [ms of CPU time]", title_justify="left", box=None)
+    for column in ("", "n", "median", "95 %", "worst"):
+        made.add_column(column, justify="right" if column else "left")
+    quantiles("a ping, all of it", plain.ping, made)
+    quantiles("a ping with a cut", plain.cut, made)
+    quantiles("smoother: our window", times.smoother, made)
+    quantiles(f"smoother: fixed lag of {LAG_S:.0f} s ({times.failures} failures)", times.peer, made)
+    return made
+
+
+def _records(step: Step) -> list[PingMotion | SonarDetections]:
+    return [record for _, _, record in step.logged]
+
+
+def flat(hours: float) -> None:
+    """Time and memory, mission after mission without a restart."""
+    for number, times in enumerate(timed(hear("depth_of_features", 1000, {"sensors.sonar.timing.rate": 2.0}), hours)):
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        median, high = 1e3 * np.quantile(times.ping, [0.5, 0.95])
+        console.print(f"mission {number + 1:3d}: ping {median:.2f} ms, 95 % {high:.2f} ms, most memory {memory:.0f} MB")
+
+
+def main() -> int:
+    """Print the tables, or the hours."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hours", type=float, default=0.0, help="run so long without a restart instead")
+    given = parser.parse_args()
+    loop = calibration()
+    if given.hours:
+        flat(given.hours)
+    else:
+        console.print(speed(2.0, 1), "", speed(4.0, 2), "")
+    console.print(f"[dim]a fixed Python loop took {loop * 1e3:.0f} ms before and {calibration() * 1e3:.0f} ms after")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

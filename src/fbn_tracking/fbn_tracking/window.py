@@ -23,7 +23,6 @@ from fbn_tracking.solver import solve
 from fbn_tracking.track import Detection, Ping, Track, array_pose
 
 _LEAST_DRIFT = 1e-8  # m^2/s^2
-_SETTLE = 4  # updates at most until nothing is re-linearised any more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +108,8 @@ class Window:
             if self._isam is None:
                 self._rebuild()
             else:
-                self._settle(self._isam.update(self._new_factors, self._new_values))
+                self._isam.update(self._new_factors, self._new_values)  # the next ping's re-linearises what still moves
+                self._accept(self._isam.calculateEstimate())
         except RuntimeError:
             self.failures += 1
             self._isam = None
@@ -147,13 +147,6 @@ class Window:
         if self._isam is not None:
             self._new_values.insert(key, value)
 
-    def _settle(self, result: Any) -> None:
-        for _ in range(_SETTLE - 1):
-            if result.getVariablesRelinearized() == 0:
-                break
-            result = self._isam.update()
-        self._accept(self._isam.calculateEstimate())
-
     def _accept(self, values: gtsam.Values) -> None:
         if not np.isfinite(values.atPose3(pose_key(self.last)).matrix()).all():
             raise RuntimeError("estimate is not finite")
@@ -163,7 +156,8 @@ class Window:
         plain = self.graph(self.last, curved=False)
         start = solve(plain, self.values, partial(theta_curvature, list(self.features.values()))).values
         self._isam = new_isam()
-        self._settle(self._isam.update(self.graph(self.last), start))
+        self._isam.update(self.graph(self.last), start)
+        self._accept(self._isam.calculateEstimate())
 
     def _recover(self) -> None:
         """Build anew; if even that fails, go on with the motion alone, which cannot fail."""
@@ -176,7 +170,8 @@ class Window:
             self.features.clear()
             self.values = dead_reckoned(self.base, list(self.pings.values()))
             self._isam = new_isam()
-            self._settle(self._isam.update(self.graph(self.last), self.values))
+            self._isam.update(self.graph(self.last), self.values)
+            self._accept(self._isam.calculateEstimate())
 
 
 def drift_prior(motion: PingMotion) -> Mat3:
