@@ -99,13 +99,14 @@ def _contest(seed: int, maps: int, sigma: float, noise: np.ndarray) -> tuple[flo
 def figure(path: Path, rows: list[Update], contested: list[Contest]) -> None:
     """How the time of an update grows with the map and the hypotheses, and JCBB's with what it searches (PNG)."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     drawn = Figure(figsize=(9.6, 4.0), dpi=150, layout="constrained")
     left, right = drawn.subplots(1, 2)
     for k, allowed in enumerate(sorted({r.allowed for r in rows})):
         own = [r for r in rows if r.allowed == allowed]
         x = [r.features for r in own]
-        left.plot(x, [r.median for r in own], "o-", color=f"C{k}", markersize=4, label=f"{allowed} hypotheses, median")
+        left.plot(x, [r.median for r in own], "o-", color=f"C{k}", markersize=4, label=f"at most {allowed}, median")
         left.plot(x, [r.worst for r in own], ":", color=f"C{k}", label="worst")
     left.set(xscale="log", yscale="log", xlabel="features on the map", ylabel="thread time of an update [s]")
     for name, values, mark in (
@@ -113,6 +114,8 @@ def figure(path: Path, rows: list[Update], contested: list[Contest]) -> None:
     ):  # fmt: skip
         right.plot([c.nodes for c in contested], values, mark, markersize=4, label=name)
     right.set(xscale="log", yscale="log", xlabel="nodes searched", ylabel="JCBB, ten found features [s]")
+    right.xaxis.set_minor_formatter(NullFormatter())
+    left.set_title("an update, by hypotheses alive", fontsize=9)
     for axes in (left, right):
         axes.grid(alpha=0.3, which="both")
         axes.legend(frameon=False, fontsize=8)
