@@ -6,6 +6,8 @@ import sys
 
 import numpy as np
 from graph import calibration, graph_speed
+from matching import contests as jcbb_contests
+from matching import updates
 from motion_kernels import contests
 from rich.console import Console
 from rich.markup import escape
@@ -46,6 +48,24 @@ def graph() -> tuple[Table, Table]:
     return made, ms
 
 
+def matching() -> tuple[Table, Table]:
+    """The global filter's updates by size of the map and number of hypotheses, and JCBB beside a plain one."""
+    made = table("Global filter, per update", "features on the map", "hypotheses", "median [s]", "worst [s]")
+    for u in updates():
+        made.add_row(str(u.features), str(u.alive), f"{u.median:.3f}", f"{u.worst:.3f}")
+    beside = table(
+        "JCBB of ten found features beside a plain one",
+        "features on the map",
+        "pose sigma [m]",
+        "nodes",
+        "ours [ms]",
+        "plain",
+    )
+    for c in jcbb_contests():
+        beside.add_row(str(c.features), f"{c.sigma:.0f}", str(c.nodes), f"{1e3 * c.ours:.3f}", f"{c.ratio:.0f} times")
+    return made, beside
+
+
 def simulator() -> Table:
     """The simulator."""
     made = table("Simulator", "scenario", "times real time")
@@ -56,7 +76,7 @@ def simulator() -> Table:
 def main() -> int:
     """Print every table."""
     loop = calibration()
-    for made in (kernels(), *graph(), simulator()):
+    for made in (kernels(), *graph(), *matching(), simulator()):
         console.print(made, "")
     console.print(f"[dim]a fixed Python loop took {loop * 1e3:.0f} ms before and {calibration() * 1e3:.0f} ms after")
     return 0

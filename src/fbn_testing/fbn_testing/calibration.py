@@ -62,6 +62,7 @@ def table(stated: Stated) -> list[str]:
 def diagram(path: Path, series: dict[str, Stated]) -> None:
     """A reliability diagram (PNG) of several series, and how often each probability was stated."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     figure = Figure(figsize=(5.4, 6.0), dpi=150, layout="constrained")
     above, below = figure.subplots(2, 1, height_ratios=(3, 1), sharex=True)
@@ -75,6 +76,7 @@ def diagram(path: Path, series: dict[str, Stated]) -> None:
     above.set(ylabel="fraction right", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     above.legend(frameon=False, loc="upper left")
     below.set(xlabel="posterior stated", ylabel="times stated", yscale="log")
+    below.yaxis.set_minor_formatter(NullFormatter())
     for axes in (above, below):
         axes.grid(alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -85,7 +85,7 @@ def summary(outcomes: list[Outcome]) -> str:
     wrong = sum(not o.right for o in matched) / n
     ever = sum(o.wrong_ever for o in outcomes) / n
     slow = max(max(o.seconds) for o in outcomes)
-    rates = f"right {right:6.1%}  wrong {wrong:6.1%}  undecided {1 - right - wrong:6.1%}  wrong ever {ever:6.1%}"
+    rates = f"right {right:6.1%}  wrong {wrong:6.1%}  undecided {(n - len(matched)) / n:6.1%}  wrong ever {ever:6.1%}"
     return f"{rates}  slowest {slow:.3f} s"
 
 

@@ -64,6 +64,6 @@ def lattice_world(seed: int, count: int) -> Settings:
     columns = round(count**0.5 * 1.15)
     features = grid(columns, -(-count // columns), SCATTER, seed)[:count]
     middle = features.mean(axis=0)
-    legs = [(-50.0, -10.0), (70.0, -10.0), (70.0, 30.0), (-50.0, 30.0)]
+    legs = [(-50.0, -10.0), (60.0, -10.0)]
     drawn_legs = tuple((float(middle[0]) + x, float(middle[1]) + y) for x, y in legs)
     return Settings(features, drawn_legs, seed=seed, map_sigma=30.0, map_error=3.0)

@@ -77,8 +77,8 @@ class InfantParameters:
 class CompositeParameters:
     """When the old part of the window is cut off."""
 
-    pings: int = param(30, "-", "poses wanted in a composite", "about 30 nodes, IROS 2007 V")
-    wait_pings: int = param(12, "-", "poses waited for more until a feature leaves the view", "JOE 2013 IV-A")
+    pings: int = param(15, "-", "poses wanted in a composite", "half of the 30 of IROS 2007 V: matched sooner")
+    wait_pings: int = param(15, "-", "poses waited for more until a feature leaves the view", "about 30 nodes in all")
     window: int = param(90, "-", "most poses in the window", "bounded time")
     max_gap: float = param(30.0, "s", "a longer pause of the sonar starts a new chain", "drift is no constant over it")
     cell_size: float = param(1.0, "m", "cell of the swept area", "a fraction of the map's relative error")

@@ -15,7 +15,7 @@ from fbn_common.estimator import Level
 from fbn_common.records import SonarDetection, Stage, Verdict
 from fbn_common.sonar import polar
 from fbn_tracking.estimator import Tracking
-from fbn_tracking.parameters import FeatureParameters, TrackingParameters, blazed_array_pair
+from fbn_tracking.parameters import CompositeParameters, FeatureParameters, TrackingParameters, blazed_array_pair
 
 SECOND, ARRAYS = 1_000_000_000, blazed_array_pair()
 
@@ -164,7 +164,8 @@ def test_infants_do_not_move_the_poses():
 def test_a_feature_out_of_view_is_retired_and_reaches_the_composite():
     world = World(np.array([[30.0, 2.0, -3.0]]))
     run = simulate(world, 70, 1005)
-    outputs = play(Tracking(), run)
+    until_gone = CompositeParameters(pings=30, wait_pings=12)  # sooner, the cut would take the feature along in view
+    outputs = play(Tracking(TrackingParameters(composite=until_gone)), run)
     seen = [f.features for f in _features(outputs)]
     assert any(t.stage is Stage.RETIRED for features in seen for t in features)
     assert sum(len(c.features) for c in _composites(outputs)) >= 1
@@ -217,9 +218,9 @@ def test_a_broken_chain_ends_the_window_and_starts_another():
     run.motions[40:42] = []
     tracker = Tracking()
     composites = _composites(play(tracker, run))
-    assert [c.first for c in composites].count(True) == 1 and composites[0].first
-    assert any(c.stamp_ns == run.motions[39].stamp_ns for c in composites)
-    assert tracker._window.base.fresh or composites[-1].first
+    (ended,) = (k for k, c in enumerate(composites) if c.stamp_ns == run.motions[39].stamp_ns)
+    assert [k for k, c in enumerate(composites) if c.first] == [0, ended + 1]
+    assert composites[ended + 1].start_ns == run.motions[40].stamp_ns
 
 
 def test_a_ping_without_motion_is_late_and_the_others_unharmed():
@@ -281,7 +282,7 @@ def test_a_featureless_hour_throws_nothing_and_keeps_its_size():
 
 def test_a_numerical_failure_rebuilds_the_window():
     run = simulate(World(corridor(4), detection_probability=1.0), 40, 1015)
-    tracker = Tracking()
+    tracker = Tracking(TrackingParameters(composite=CompositeParameters(pings=30, wait_pings=12)))  # no cut so soon
     play(tracker, Run(run.motions[:25], run.scans, run.poses))
 
     class Broken:

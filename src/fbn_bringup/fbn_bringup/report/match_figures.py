@@ -23,10 +23,13 @@ from fbn_bringup.report.canvas import (
     styled,
 )
 from fbn_bringup.report.overlay import Overlay, hypothesis_lines, overlays
+from fbn_bringup.report.sweep import CELL
 from fbn_common import records as r
 from fbn_common.graph import GRAPH
 
 STATES = {"UNMATCHED": st.MUTED, "MATCHED": st.GLOBAL.colour, "AMBIGUOUS": st.DEADRECK.colour, "LOST": st.TARGET.colour}
+
+MISSED = st.Look("swept, and not seen", st.DEADRECK.colour)
 
 
 def hypothesis_figure(run: Run) -> go.Figure | None:
@@ -84,11 +87,11 @@ def _add_states(figure: go.Figure, run: Run) -> None:
 
 
 def overlay_figure(run: Run) -> go.Figure | None:
-    """What was tracked in each dive, laid on the map by its best hypothesis; a button per dive."""
-    made = overlays(run)
+    """What was tracked and swept in each dive, laid on the map by each likely hypothesis; a button for each."""
+    made = overlays(run, most=3)
     if not made:
         return None
-    figure = base(560, xaxis_title="east [m]", yaxis_title="north [m]", hovermode="closest")
+    figure = base(600, xaxis_title="east [m]", yaxis_title="north [m]", hovermode="closest")
     figure.update_yaxes(scaleanchor="x", scaleratio=1)
     owners: list[int] = []
     for i, overlay in enumerate(made):
@@ -96,12 +99,12 @@ def overlay_figure(run: Run) -> go.Figure | None:
         figure.add_traces(traces)
         owners += [i] * len(traces)
     buttons = [
-        dict(label=f"dive {o.dive}", method="restyle", args=[{"visible": [owner == i for owner in owners]}])
+        dict(label=_name(o, made), method="restyle", args=[{"visible": [owner == i for owner in owners]}])
         for i, o in enumerate(made)
     ]
     menu = dict(
-        type="buttons",
-        direction="right",
+        type="dropdown",
+        direction="down",
         x=0,
         y=1.08,
         xanchor="left",
@@ -113,9 +116,36 @@ def overlay_figure(run: Run) -> go.Figure | None:
     return figure
 
 
+def _name(o: Overlay, made: list[Overlay]) -> str:
+    """A dive, and which of its hypotheses where there are several."""
+    several = sum(other.dive == o.dive for other in made) > 1
+    return f"dive {o.dive}" + (f": hypothesis {o.hypothesis}, {o.posterior:.2f}" if several else "")
+
+
+def _sweep_trace(o: Overlay, visible: bool) -> list[Any]:
+    if o.swept is None:
+        return []
+    rows, columns = o.swept.scans.shape
+    shades = [[0.0, st.faded(st.GPS.colour, 0.10)], [1.0, st.faded(st.GPS.colour, 0.55)]]
+    return [
+        go.Heatmap(
+            z=rounded(o.swept.scans, 0),
+            x=o.swept.corner[0] + CELL * (np.arange(columns) + 0.5),
+            y=o.swept.corner[1] + CELL * (np.arange(rows) + 0.5),
+            colorscale=shades,
+            zmin=0,
+            zmax=30,
+            showscale=False,
+            visible=visible,
+            hovertemplate="%{z:.0f} scans<extra></extra>",
+        )
+    ]
+
+
 def _overlay_traces(o: Overlay, visible: bool) -> list[Any]:
     lines = [end for a, b in o.pairs for end in (o.map_xy[a], o.tracked_xy[b], (GAP, GAP))]
     traces: list[Any] = [
+        *_sweep_trace(o, visible),
         line(o.path_xy[:, 0], o.path_xy[:, 1], st.GLOBAL, visible=visible),
         go.Scatter(
             x=[p[0] for p in lines],
@@ -124,10 +154,13 @@ def _overlay_traces(o: Overlay, visible: bool) -> list[Any]:
             visible=visible,
             hoverinfo="skip",
             line=dict(color=st.TARGET.colour, width=2),
-            name=f"pairs (posterior {o.posterior:.2f})",
+            name=f"pairs (posterior {o.posterior:.2f}, score {o.log_score:.0f})",
         ),
         markers(o.map_xy, st.ESTIMATED, "x-thin", 10, o.map_labels, visible=visible),
     ]
+    if o.missed:
+        labels = tuple(o.map_labels[i] for i in o.missed)
+        traces.append(markers(o.map_xy[list(o.missed)], MISSED, "circle-open", 15, labels, visible=visible))
     if len(o.tracked_xy):
         traces.append(
             markers(

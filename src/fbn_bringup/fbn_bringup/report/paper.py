@@ -17,6 +17,7 @@ from fbn_bringup.evaluation.series import Innovations
 from fbn_bringup.report import layers as ly
 from fbn_bringup.report import style as st
 from fbn_bringup.report.overlay import Overlay, hypothesis_lines, overlays
+from fbn_bringup.report.sweep import CELL
 from fbn_common import chi_square
 from fbn_common.records import Verdict
 
@@ -222,10 +223,16 @@ def _posterior(axes: Axes, run: Run, lines: list[Any]) -> None:
 
 def _overlay(axes: Axes, o: Overlay) -> None:
     _plane(axes, f"Dive {o.dive}: {len(o.pairs)} pairs")
+    if o.swept is not None:
+        rows, columns = o.swept.scans.shape
+        x, y = (corner + CELL * np.arange(n + 1) for corner, n in zip(o.swept.corner, (columns, rows), strict=True))
+        axes.pcolormesh(x, y, o.swept.scans, cmap="Blues", vmin=0, vmax=60, rasterized=True)
     axes.plot(*o.path_xy.T, color=st.GLOBAL.colour, lw=1.0)
     for a, b in o.pairs:
         axes.plot(*np.stack([o.map_xy[a], o.tracked_xy[b]]).T, color=st.TARGET.colour, lw=1.4)
     axes.plot(*o.map_xy.T, "x", color=st.MUTED, ms=6, mew=1.2)
+    if o.missed:
+        axes.plot(*o.map_xy[list(o.missed)].T, "o", mfc="none", mec=st.DEADRECK.colour, ms=11, mew=1.4)
     if len(o.tracked_xy):
         axes.plot(*o.tracked_xy.T, "o", mfc="none", mec=st.TRACKED.colour, ms=6, mew=1.2)
 

@@ -34,7 +34,8 @@ WORDS = {  # title, and what one sees
     ),
     "matches": (
         "Matches",
-        "The bank of hypotheses over time, and what was tracked laid on the map at each dive's end.",
+        "The bank of hypotheses over time; and at each dive's end what was tracked (purple) and swept (blue), laid on "
+        "the map as each likely hypothesis has it. Circles: should have been seen in this dive, and was not.",
     ),
     "tracking": ("Tracking", "Objects by stage, and how much the sonar said."),
     "profile": ("Depth", "Depth of the vehicle, and of the bottom under it."),
