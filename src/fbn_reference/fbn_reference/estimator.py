@@ -118,12 +118,25 @@ class Reference(MotionFilter):
         at_middle = BeaconRange(
             stamp, record.frame_id, record.beacon_id, record.range, record.range_variance, record.travel_delay
         )
-        if self._holding.trusted(self.ekf, intake, stamp):
-            return self.measure(intake, topic, at_middle, now_ns)
         data, said = self.examine(intake, at_middle, now_ns)
-        if data is not None:
-            self._holding.put(Waiting(intake, at_middle, data))
+        if data is None:
+            return said + (self._withdraw(intake, record.range) if intake.watch.stopped else [])
+        if self._holding.trusted(self.ekf, intake, stamp):
+            return self.enter(intake, topic, at_middle, data)
+        self._holding.put(Waiting(intake, at_middle, data))
         return said
+
+    def _withdraw(self, intake: Intake, value: float) -> list[Output]:
+        """Take back what a beacon repeated before it was known to be frozen; answer what was not answered yet."""
+        rows, since, why = self.ekf.events.rows, intake.watch.began_ns, f"taken back: {intake.watch.stopped}"
+        mine = [s for s in self.ekf.events.slots if rows.sensor[s] == intake.row and rows.stamp[s] > since]
+        out = []
+        for slot in (s for s in mine if rows.data[s, 3] == value):
+            self.ekf.withdraw(slot)
+            if self._pending.pop(slot, None) is not None:
+                out.append(self._refuse(intake, int(rows.stamp[slot]), Verdict.REFUSED, why))
+        waited = self._holding.withdraw(intake, value, since)
+        return out + [self._refuse(intake, w.stamp_ns, Verdict.REFUSED, why) for w in waited]
 
     def settle(self, now_ns: int) -> list[Output]:
         """Rule on ranges that wait until no more can be said: who is admitted changes the position for the others."""

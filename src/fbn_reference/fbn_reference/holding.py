@@ -35,7 +35,7 @@ class Refusal(StrEnum):
     TOO_OLD = "not in the filter's history when it was decided on"
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Waiting:
     """A range that has not been decided on."""
 
@@ -74,6 +74,12 @@ class Holding:
         self.waiting.append(waiting)
         self.waiting.sort(key=lambda w: (w.stamp_ns, w.intake.row))
 
+    def withdraw(self, intake: Intake, value: float, since_ns: int) -> list[Waiting]:
+        """Give back a beacon's ranges of this value from after the stamp."""
+        mine = [w for w in self.waiting if w.intake is intake and w.data[3] == value and w.stamp_ns > since_ns]
+        self.waiting = [w for w in self.waiting if w not in mine]
+        return mine
+
     def trusted(self, ekf: MotionEkf, intake: Intake, stamp_ns: int) -> bool:
         """Whether a range of this beacon was used lately: then it need not wait, the gate watches it."""
         if not self._hold_ns:
@@ -101,8 +107,8 @@ class Holding:
                 ruling.admitted.append(w)
         if not ruling.admitted and not ruling.refused:
             self._close(ekf, ruling)
-        done = {id(w) for w in ruling.admitted} | {id(w) for w, _ in ruling.refused}
-        self.waiting = [w for w in self.waiting if id(w) not in done]
+        done = {*ruling.admitted, *(w for w, _ in ruling.refused)}
+        self.waiting = [w for w in self.waiting if w not in done]
         return ruling
 
     def _for_the_gate(self, ekf: MotionEkf, w: Waiting) -> bool:

@@ -69,6 +69,12 @@ class LblParameters(SensorParameters):
     position: Triple = param((0.0, 0.0, 0.0), "m", "of the transducer in base_link", "at the origin")
     lockout: int = param(5, "-", "consistent outliers in a row after which a beacon is dropped", "5 replies")
     dead_after: float = param(0.0, "s", "silence worth a warning; 0 = never", "beacons come and go")
+    frozen_after: int = param(
+        4,
+        "-",
+        "equal ranges in a row that noise does not explain; 0 = never",
+        "at rest 0.1 m of resolution repeats 0.3 m of noise at odds of 0.09: four times, 8e-5",
+    )
 
     def __post_init__(self) -> None:
         SensorParameters.__post_init__(self)
