@@ -47,6 +47,15 @@ def test_duplicates_are_named_and_move_nothing(sailed: Voyage) -> None:
     assert (found.drift, found.depth, found.absolute) == (0.0, 0.0, 0.0)
 
 
+def test_frozen_actuators_are_named_where_they_used_to_change_all_the_time(sailed: Voyage) -> None:
+    """The twin's autopilot changes tilt with each message; 20 of them at 10 Hz, and a step."""
+    found = spoilt(sailed, "actuators", "frozen")
+    assert found.said.startswith("frozen: 21 equal commands in a row")
+    assert found.named_s is not None and found.named_s < 2.5
+    assert found.worst < 4.0
+    assert found.sound
+
+
 def test_a_frozen_beacon_leaves_the_map_where_it_was(sailed: Voyage) -> None:
     """Until it is named it may pull by what is run meanwhile, 2 m, against two others and GPS: less than half of it."""
     found = spoilt(sailed, "lbl/range", "frozen")
