@@ -18,7 +18,7 @@ _EXACT = np.longdouble  # the reference's: eps 1e-19 where the machine has 80 bi
 
 
 class Conditions(NamedTuple):
-    """Condition numbers, raw and with every column of ``A`` scaled to one, which no change of units can improve."""
+    """Condition numbers, raw and with every column of ``A`` scaled to one, which no choice of units betters by much."""
 
     root: float
     information: float  # of the matrix as formed in the precision; infinite where it is not positive definite
@@ -34,8 +34,8 @@ class Errors(NamedTuple):
 
 def corner_by_qr(A: Array, kept: int, dtype: type) -> Real:
     """``R`` (kept, kept) of the last ``kept`` columns of ``A`` (m, n), by QR in this precision."""
-    R = np.linalg.qr(A.astype(dtype), mode="r")
-    return np.asarray(R[A.shape[1] - kept : A.shape[1], -kept:])
+    R = np.asarray(np.linalg.qr(A.astype(dtype), mode="r"))
+    return np.asarray(R[-kept:, -kept:])
 
 
 def corner_by_cholesky(A: Array, kept: int, dtype: type) -> Real:
@@ -45,7 +45,7 @@ def corner_by_cholesky(A: Array, kept: int, dtype: type) -> Real:
 
 def information(A: Array, dtype: type) -> Real:
     """``A^T A`` as formed in this precision."""
-    rounded = A.astype(dtype)
+    rounded: Real = A.astype(dtype)
     return np.asarray(rounded.T @ rounded)
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track as progress
 from rich.table import Table
@@ -41,7 +42,7 @@ class System(NamedTuple):
 
     A: Array
     kept: int
-    sonar: Array  # (m,) bool
+    sonar: NDArray[np.bool_]  # (m,)
 
 
 class Case(NamedTuple):
@@ -77,7 +78,8 @@ def linearised(window: Window) -> System:
         ordering.push_back(key)
     A, _ = window.graph(window.last, curved=False).linearize(window.values).jacobian(ordering)
     rows = np.ascontiguousarray(A[np.any(A, axis=1)])
-    return System(rows, 6 * len(kept_poses) + 3 + 3 * len(window.features), rows[:, -3 * len(window.features) :].any(1))
+    features = 3 * len(window.features)
+    return System(rows, 6 * len(kept_poses) + 3 + features, np.asarray(np.any(rows[:, -features:], axis=1)))
 
 
 def examine(system: System, length: int) -> Iterator[Case]:
@@ -135,7 +137,7 @@ def draw(cases: list[Case], target: Path) -> None:
         axis.axhline(_OFF, color="#808080", ls=":")
         axis.set_title(f"{arithmetic} precision", loc="left", fontsize=10)
         axis.set_xlabel("condition number of the square root")
-        axis.legend(fontsize=8, loc="upper left")
+        axis.legend(fontsize=8, loc="upper left" if arithmetic == "double" else "lower right")
     axes[0].set_ylabel("worst relative error of a variance")
     figure.tight_layout()
     figure.savefig(target, dpi=120)

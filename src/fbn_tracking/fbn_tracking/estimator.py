@@ -21,7 +21,7 @@ from fbn_tracking.parameters import TrackingParameters
 from fbn_tracking.publish import tracked_features
 from fbn_tracking.rehearsal import rehearsal
 from fbn_tracking.scan import Scanner
-from fbn_tracking.track import Detection, first_ping, make_look, next_ping
+from fbn_tracking.track import Detection, Track, first_ping, make_look, next_ping
 from fbn_tracking.warm_up import warm_up
 from fbn_tracking.window import Base, Window, drift_prior
 
@@ -105,6 +105,12 @@ class Tracking:
     def window(self) -> Window | None:
         """The window being smoothed, to be looked at; None before the first ping."""
         return self._window
+
+    @property
+    def tracks(self) -> list[Track]:
+        """Its features and the infants, to be looked at."""
+        features = [] if self._window is None else self._window.features.values()
+        return [*features, *self._nursery.infants.values()]
 
     # --- pings ---
 
