@@ -10,6 +10,7 @@ from fbn_bringup.rundir import Meter, ReplayError
 from fbn_common.types import NS, nanoseconds
 
 TICK_S = 0.005  # s of the log between two messages of the clock
+LEAST_S = 1e-4  # s to serve what has come before each tick, however late the replay is
 LINGER_S = 0.5  # s for the last messages to arrive
 
 
@@ -33,20 +34,26 @@ class PacedPlayer(Player):
             if topic in taken:
                 self.say(topic, data)
             meter.at(log_time_ns)
-        self._go_on_to(self._now_ns + nanoseconds(LINGER_S * rate), begin, rate)
+        behind = max(0.0, time.monotonic() - self._due(self._now_ns, begin, rate))
+        self._go_on_to(self._now_ns + nanoseconds(LINGER_S * rate), begin + behind, rate)
 
     def heard(self, topic: str, data: bytes) -> None:
         self.writer.write_raw(self._now_ns, topic, self.graph.topics[topic].ros_type, data)
         self.published[topic] += 1
 
     def _go_on_to(self, log_time_ns: int, begin: float, rate: float) -> None:
-        """Let time pass, in ticks of the clock, until the log has come so far."""
+        """Let time pass, in ticks of the clock, until the log has come so far; the nodes are heard also when late."""
         while self._now_ns < log_time_ns:
             self._now_ns = min(log_time_ns, self._now_ns + nanoseconds(TICK_S))
-            due = begin + (self._now_ns - self.reader.start_ns) / NS / rate
+            due = self._due(self._now_ns, begin, rate)
+            self.spin(LEAST_S)
             while (left := due - time.monotonic()) > 0.0:
                 self.spin(left)
             self.station.tell_time(self._now_ns)
+
+    def _due(self, log_time_ns: int, begin: float, rate: float) -> float:
+        """When a time of the log comes, on the monotonic clock [s]."""
+        return begin + (log_time_ns - self.reader.start_ns) / NS / rate
 
     def _unmatched(self) -> list[str]:
         """Topics that somebody does not hear yet."""

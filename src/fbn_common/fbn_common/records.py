@@ -225,6 +225,7 @@ class PingMotion(Record):
     earth_covariance: Mat4 = shaped(4, 4)  # the filter's marginal, for gating and linearising; never to be fused
     velocity: Vec6 = shaped(6)  # body, over ground
     drift_covariance: Mat3 = shaped(3, 3)  # m^2/s^2
+    heading_deviation: float = 0.0  # rad, standard deviation of yaw's error that stays from ping to ping
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,6 +21,7 @@ from fbn_deadreck.dead_service import (
     earth_covariance,
     earth_information,
     earth_of,
+    heading_deviation,
     identity,
     increment,
     pose_of_increment,
@@ -109,6 +110,7 @@ class Deadreck(MotionFilter):
             earth_covariance=own_covariance,
             velocity=after.x[X_VELOCITY : X_VELOCITY + 6].copy(),
             drift_covariance=drift_covariance(after),
+            heading_deviation=heading_deviation(after),
         )
 
     def measure(self, intake: Intake, topic: str, record: Record, now_ns: int) -> list[Output]:

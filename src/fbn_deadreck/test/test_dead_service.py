@@ -132,3 +132,13 @@ def test_pings_of_two_arrays_at_one_stamp_get_one_answer(sailed: Sailed, twin: T
     twice = sorted([*arrivals, *(a for a in arrivals if a[1] == "sonar/detections")], key=lambda a: a[0])
     stamps = [p.stamp_ns for p in pings(sailed(twice)[0])]
     assert len(stamps) == len(set(stamps)) > 3
+
+
+def test_each_ping_states_the_compass_deviation_and_all_of_yaws_doubt_is_more(
+    voyage: tuple[list[Output], Deadreck],
+) -> None:
+    """The deviation is considered, never estimated: what the parameter says, but for the coefficients' mixture."""
+    deviation = voyage[1].own.compass.deviation
+    for ping in pings(voyage[0]):
+        assert ping.heading_deviation == pytest.approx(deviation, rel=0.1)
+        assert ping.earth_covariance[3, 3] > 0.8 * ping.heading_deviation**2

@@ -123,8 +123,10 @@ class FakeDeadreck(Digest):
 
     def _ping(self, ping: r.SonarDetections) -> r.PingMotion:
         pose = r.Pose(np.array([self.value, 0.0, 0.0]), IDENTITY.orientation)
-        zeros = (np.zeros(s) for s in ((6, 6), 4, (4, 4), (4, 4), 6, (3, 3)))
-        return r.PingMotion(ping.stamp_ns, "odom", ping.stamp_ns, IDENTITY, pose, 0.0, -1.0, 100.0, *zeros)
+        return r.PingMotion(
+            ping.stamp_ns, "odom", ping.stamp_ns, IDENTITY, pose, 0.0, -1.0, 100.0,
+            np.zeros((6, 6)), np.zeros(4), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros(6), np.zeros((3, 3)),
+        )  # fmt: skip
 
 
 class FakeReference(Digest):

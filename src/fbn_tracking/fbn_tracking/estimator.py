@@ -158,7 +158,7 @@ class Tracking:
         return outputs
 
     def _start(self, motion: PingMotion) -> Window:
-        deviation = deviation_variance(motion.earth_covariance, self.parameters.deviation)
+        deviation = deviation_variance(motion.earth_covariance, motion.heading_deviation)
         ping = first_ping(motion, deviation)
         pose = gtsam.Pose3(gtsam.Rot3(matrix_from_quaternion(motion.pose.orientation)), motion.pose.position)
         mean = np.concatenate((motion.earth, np.zeros(3)))

@@ -29,6 +29,7 @@ def motion_fault(motion: PingMotion) -> str:
         "earth_covariance": motion.earth_covariance,
         "drift_covariance": motion.drift_covariance,
         "altitude": np.array([motion.altitude, motion.altitude_variance, motion.drift_time_constant]),
+        "heading_deviation": np.array([motion.heading_deviation]),
     }
     shapes = {"increment_covariance": (6, 6), "earth": (4,), "earth_information": (4, 4), "earth_covariance": (4, 4)}
     for name, value in arrays.items():
@@ -44,6 +45,8 @@ def motion_fault(motion: PingMotion) -> str:
             return f"{name}: not symmetric and positive semidefinite"
     if motion.previous_ns > motion.stamp_ns:
         return "previous is after the stamp"
+    if motion.heading_deviation < 0.0:
+        return "heading_deviation: negative"
     return "" if motion.drift_time_constant > 0.0 else "drift_time_constant: must be positive"
 
 

@@ -93,9 +93,6 @@ class TrackingParameters:
     feature: FeatureParameters = group(FeatureParameters)
     infant: InfantParameters = group(InfantParameters)
     composite: CompositeParameters = group(CompositeParameters)
-    deviation: float = param(
-        0.026, "rad", "standard deviation of yaw's error that stays", "dead reckoning's compass.deviation, 1.5 deg"
-    )
     gate: float = param(0.997, "-", "probability that a true match passes its gate", "chi-square, 3 dof")
     max_detections: int = param(40, "-", "strongest detections kept per array and ping", "bounded time")
     retire: float = param(10.0, "s", "a feature unseen for so long is retired", "as infants")
@@ -112,8 +109,6 @@ class TrackingParameters:
     def __post_init__(self) -> None:
         if not self.arrays:
             raise ParameterError("arrays: at least one sonar array is needed")
-        if not 0.0 <= self.deviation < 1.0:
-            raise ParameterError("deviation: an angle from 0 to 1 rad")
         if not 0.0 < self.gate < 1.0:
             raise ParameterError("gate: a probability between 0 and 1")
         if self.composite.window < 2 * self.composite.pings:

@@ -37,6 +37,7 @@ class World:
     pitch: float = 0.03  # rad, amplitude
     yaw_rate: float = 0.0
     time_constant: float = 600.0
+    deviation: float = 0.0  # of earth_sigma's yaw, said to stay; drawn anew all the same
     noise: float = 1.0  # scales what is drawn, not the sigmas stated
 
 
@@ -97,6 +98,7 @@ def _motion(world, run, stamp, increment, R_increment, odom_R, odom_p, earth_sig
         earth_information=np.diag(1.0 / earth_sigma**2),
         earth_covariance=np.diag(earth_sigma**2),
         velocity=np.array([world.speed, 0, 0, 0, 0, 0]),
+        heading_deviation=world.deviation,
         drift_covariance=np.eye(3) * world.drift_sigma**2 * np.array([1, 1, 1e-4]),
     )
 

@@ -37,7 +37,7 @@ def _closed(run):
 
 
 def _composites(world, pings, seed, composite, feature=LINEAR):
-    tracker = Tracking(TrackingParameters(deviation=0.0, feature=feature, composite=composite))
+    tracker = Tracking(TrackingParameters(feature=feature, composite=composite))
     outputs = play(tracker, _closed(simulate(world, pings, seed)))
     return [o.record for o in outputs if o.topic == "tracking/composite"]
 
@@ -120,7 +120,7 @@ def _detections_used(tracker_outputs):
 @pytest.fixture(scope="module")
 def against_batch():
     """One window's composite, and the independent batch of the same pings and detections."""
-    parameters = TrackingParameters(deviation=0.0, feature=LINEAR, composite=WHOLE)
+    parameters = TrackingParameters(feature=LINEAR, composite=WHOLE)
     run = simulate(CALM, 16, 1001)
     tracker = Tracking(parameters)
     play(tracker, run)

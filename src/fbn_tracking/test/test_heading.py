@@ -15,11 +15,9 @@ from fbn_common.lie import (
     rpy_from_matrix,
     so3_exp,
 )
-from fbn_common.parameters import ParameterError
 from fbn_common.records import Pose
 from fbn_tracking.estimator import Tracking
 from fbn_tracking.heading import carried, deviation_variance, given_deviation, information_given_deviation, turned
-from fbn_tracking.parameters import TrackingParameters
 
 DEVIATION = 0.026
 
@@ -87,15 +85,10 @@ def test_the_whole_composite_turns_about_its_base():
 
 
 def test_features_do_not_average_the_deviation_away():
-    run = simulate(World(corridor(8), period=0.5, detection_probability=0.95), 160, 1004)
+    run = simulate(World(corridor(8), period=0.5, detection_probability=0.95, deviation=DEVIATION), 160, 1004)
     composites = [o.record for o in play(Tracking(), run) if o.topic == "tracking/composite"]
     assert any(len(c.features) >= 3 for c in composites)
     for c in composites:
         assert c.covariance[3, 3] > DEVIATION**2 < c.covariance[9, 9]
         assert c.prior_covariance[3, 3] > DEVIATION**2
         assert np.linalg.eigvalsh(c.covariance).min() > -1e-9
-
-
-def test_a_deviation_that_is_no_angle_is_refused():
-    with pytest.raises(ParameterError, match="deviation"):
-        TrackingParameters(deviation=-0.1)
