@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from simulator import real_time_factor
+from tracking import SHORT_S, speed
 
 console = Console(highlight=False)
 
@@ -66,6 +67,11 @@ def matching() -> tuple[Table, Table]:
     return made, beside
 
 
+def tracker() -> tuple[Table, Table]:
+    """The tracker beside gtsam's fixed-lag smoother, on the first part of a mission."""
+    return speed(2.0, 1, SHORT_S), speed(4.0, 2, SHORT_S)
+
+
 def simulator() -> Table:
     """The simulator."""
     made = table("Simulator", "scenario", "times real time")
@@ -76,7 +82,7 @@ def simulator() -> Table:
 def main() -> int:
     """Print every table."""
     loop = calibration()
-    for made in (kernels(), *graph(), *matching(), simulator()):
+    for made in (kernels(), *graph(), *tracker(), *matching(), simulator()):
         console.print(made, "")
     console.print(f"[dim]a fixed Python loop took {loop * 1e3:.0f} ms before and {calibration() * 1e3:.0f} ms after")
     return 0

@@ -1,4 +1,4 @@
-"""Pictures of the tracker's work, after figures 4 and 5 of the tracking paper (IROS 2007), from our own runs."""
+"""Pictures of the tracker's work, after figure 4 of the tracking paper (IROS 2007), from our own runs."""
 
 from __future__ import annotations
 

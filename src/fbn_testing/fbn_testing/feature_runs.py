@@ -53,11 +53,7 @@ def hear(scenario: str, seed: int, changes: Mapping[str, Any] | None = None) -> 
 
 def track(heard: Heard, settings: Mapping[str, Any] | None = None) -> Outcome:
     """The tracker on a mission, with some of its parameters set by dotted name (``feature.elevation``)."""
-    graph = GRAPH.only(("tracking",))
-    chosen = {name: value for name, value in dotted(estimator_parameters(heard.simulation)).items() if _ours(name)}
-    chosen |= {f"tracking.{name}": value for name, value in (settings or {}).items()}
-    (parameters,) = load_parameters(graph, (), chosen).values()
-    tracker, outcome = Tracking(parameters), Outcome(heard)
+    tracker, outcome = tracker_of(heard, settings), Outcome(heard)
     for step in heard.steps:
         for _, topic, record in step.logged:
             tracker.put(topic, record)
@@ -68,6 +64,15 @@ def track(heard: Heard, settings: Mapping[str, Any] | None = None) -> Outcome:
         keep(outcome, records)
     outcome.counts = dict(tracker.health().values)
     return outcome
+
+
+def tracker_of(heard: Heard, settings: Mapping[str, Any] | None = None) -> Tracking:
+    """A tracker with the parameters of the mission's vehicle and sonar, some of them set by dotted name."""
+    graph = GRAPH.only(("tracking",))
+    chosen = {name: value for name, value in dotted(estimator_parameters(heard.simulation)).items() if _ours(name)}
+    chosen |= {f"tracking.{name}": value for name, value in (settings or {}).items()}
+    (parameters,) = load_parameters(graph, (), chosen).values()
+    return Tracking(parameters)
 
 
 def _ours(name: str) -> bool:

@@ -1,6 +1,6 @@
 """What the tracker finds, where, and how sure of it: over many simulated missions, by the truth.
 
-python -m fbn_testing.feature_study depth_of_features --seeds 0:50 --figure depth.png
+python -m fbn_testing.feature_study depth_of_features --seeds 0:50 --figure depth.png --story story.png
 python -m fbn_testing.feature_study any_height --seeds 0:50
 python -m fbn_testing.feature_study charles_river_2006 --seeds 0:50
 python -m fbn_testing.feature_study clutter --seeds 0:50
@@ -29,6 +29,7 @@ from fbn_common.types import Array
 from fbn_testing.feature_figures import Section, draw_sections
 from fbn_testing.feature_judge import Verdict, judge
 from fbn_testing.feature_runs import hear, track
+from fbn_testing.feature_story import PASSAGE, draw_story, off_lobe, stories
 
 console = Console(highlight=False, width=150)
 CUBIC, LINEAR = {"feature.elevation": "cubic"}, {"feature.elevation": "linear"}
@@ -68,8 +69,11 @@ def main() -> None:
     parser.add_argument("study", choices=STUDIES)
     parser.add_argument("--seeds", default="0:50", help="first:last, the last one excluded")
     parser.add_argument("--figure", type=Path, help="PNG: vertical sections of the first seed, by variant")
+    parser.add_argument("--story", type=Path, help="PNG: a feature of the first seed, from its first echo on")
     given = parser.parse_args()
     first, last = (int(n) for n in given.seeds.split(":"))
+    if given.story:
+        draw_story(off_lobe(stories(hear("depth_of_features", first, PASSAGE))), given.story)
     began = time.process_time()
     verdicts = run(STUDIES[given.study], range(first, last), given.figure)
     for table in (places(verdicts), found(verdicts), drift(verdicts)):

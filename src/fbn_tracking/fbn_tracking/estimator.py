@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import ClassVar
 
 import gtsam
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from fbn_common.estimator import Health, Level, Output
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.records import Innovation, PingMotion, Record, SonarDetections, TrackedFeatures, Verdict
-from fbn_common.types import nanoseconds
+from fbn_common.types import NS, nanoseconds
 from fbn_tracking.composite import compose
 from fbn_tracking.cut import choose_cut, cut
 from fbn_tracking.heading import deviation_variance
@@ -18,8 +19,9 @@ from fbn_tracking.intake import Intake, refusal, usable
 from fbn_tracking.nursery import Nursery
 from fbn_tracking.parameters import TrackingParameters
 from fbn_tracking.publish import tracked_features
+from fbn_tracking.rehearsal import rehearsal
 from fbn_tracking.scan import Scanner
-from fbn_tracking.track import Detection, first_ping, make_look, next_ping
+from fbn_tracking.track import Detection, Track, first_ping, make_look, next_ping
 from fbn_tracking.warm_up import warm_up
 from fbn_tracking.window import Base, Window, drift_prior
 
@@ -30,9 +32,22 @@ _FRAME = "odom"
 class Tracking:
     """Infants, features and composites from ping motions and sonar detections."""
 
+    _rehearsed: ClassVar[bool] = False
+
     def __init__(self, parameters: TrackingParameters | None = None) -> None:
         self.parameters = parameters or TrackingParameters()
         warm_up()
+        self._reset()
+        if not Tracking._rehearsed:
+            Tracking._rehearsed = True
+            self._rehearse()
+
+    def _rehearse(self) -> None:
+        """Play a made-up run and forget it: once a process, so that no first graduation and no first cut is late."""
+        for number, records in enumerate(rehearsal(self.parameters.arrays)):
+            for record in records:
+                self.put("", record)
+            self.advance(number * NS)
         self._reset()
 
     def _reset(self) -> None:
@@ -85,6 +100,17 @@ class Tracking:
         if self._counts["rebuilds"]:
             return Health(Level.WARN, f"smoother rebuilt {self._counts['rebuilds']} times", values)
         return Health(Level.OK, f"{len(window.features)} features, {len(self._nursery.infants)} infants", values)
+
+    @property
+    def window(self) -> Window | None:
+        """The window being smoothed, to be looked at; None before the first ping."""
+        return self._window
+
+    @property
+    def tracks(self) -> list[Track]:
+        """Its features and the infants, to be looked at."""
+        features = [] if self._window is None else self._window.features.values()
+        return [*features, *self._nursery.infants.values()]
 
     # --- pings ---
 

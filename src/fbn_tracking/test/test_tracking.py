@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -302,26 +299,3 @@ def test_the_linear_elevation_is_there_for_comparison():
     parameters = TrackingParameters(feature=FeatureParameters(elevation="linear"))
     outputs = play(Tracking(parameters), simulate(World(corridor(4)), 60, 1016))
     assert _composites(outputs)[0].features
-
-
-KERNELS_AFTER_START = """
-import sys
-sys.path.insert(0, sys.argv[1])
-from synthetic_world import World, corridor, simulate, play
-from fbn_common import lie
-from fbn_tracking import factors, gating, geometry, infants, swept
-from fbn_tracking.estimator import Tracking
-modules = (lie, factors, gating, geometry, infants, swept)
-kernels = {f.__name__: f for m in modules for f in vars(m).values() if hasattr(f, "signatures")}
-tracker, run = Tracking(), simulate(World(corridor(4), clutter=2.0), 60, 1017)
-before = {name: len(f.signatures) for name, f in kernels.items()}
-outputs = play(tracker, run)
-assert any(o.topic == "tracking/composite" for o in outputs)
-print(sorted(name for name, f in kernels.items() if len(f.signatures) > before[name]))
-"""
-
-
-def test_no_kernel_is_compiled_after_the_start():
-    arguments = [sys.executable, "-c", KERNELS_AFTER_START, str(Path(__file__).parent)]
-    done = subprocess.run(arguments, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
