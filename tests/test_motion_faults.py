@@ -27,6 +27,7 @@ def spoilt(sailed: Voyage, topic: str, kind: str) -> Cell:
     [
         ("pressure", "nan", 0.5),  # refused one by one: a period, 0.2 s, and a step
         ("imu/data", "frozen", 2.8),  # 20 equal values at 10 Hz, lost messages, a step
+        ("lbl/range", "frozen", 3.5),  # four repeats at 0.67 s, and a step
         ("imu/data", "dropped", 3.0),  # dead_after is 2 s, found at a step's end
     ],
 )
@@ -44,6 +45,22 @@ def test_duplicates_are_named_and_move_nothing(sailed: Voyage) -> None:
     found = spoilt(sailed, "pressure", "duplicated")
     assert found.said == "duplicate"
     assert (found.drift, found.depth, found.absolute) == (0.0, 0.0, 0.0)
+
+
+def test_frozen_actuators_are_named_where_they_used_to_change_all_the_time(sailed: Voyage) -> None:
+    """The twin's autopilot changes tilt with each message; 20 of them at 10 Hz, and a step."""
+    found = spoilt(sailed, "actuators", "frozen")
+    assert found.said.startswith("frozen: 21 equal commands in a row")
+    assert found.named_s is not None and found.named_s < 2.5
+    assert found.worst < 4.0
+    assert found.sound
+
+
+def test_a_frozen_beacon_leaves_the_map_where_it_was(sailed: Voyage) -> None:
+    """Until it is named it may pull by what is run meanwhile, 2 m, against two others and GPS: less than half of it."""
+    found = spoilt(sailed, "lbl/range", "frozen")
+    assert found.absolute < 1.0
+    assert found.worst < 4.0
 
 
 def test_after_a_biased_sensor_the_position_is_within_four_sigma_again(sailed: Voyage) -> None:

@@ -52,7 +52,7 @@ DATA = {
     Kind.DEPTH: np.array([-3.0, 0.01]),
     Kind.CLIMB: np.array([0.0, 0.01, 0.1, 0.5, 0.1]),  # tilt's effect on the altitude itself is left out, see below
     Kind.POSITION: np.array([3.0, -2.0, 4.0, 0.5, 3.0]),
-    Kind.RANGE: np.array([30.0, 20.0, -5.0, 33.0, 0.5]),
+    Kind.RANGE: np.array([30.0, 20.0, -5.0, 33.0, 0.5, 0.0, 0.0, 0.0]),
 }
 
 
@@ -71,11 +71,11 @@ def covariance(seed: int) -> Array:
     return np.asarray(0.5 * (p + p.T))
 
 
-def innovation(kind: Kind, x: Array) -> tuple[Array, Array, Array]:
+def innovation(kind: Kind, x: Array, data: Array | None = None) -> tuple[Array, Array, Array]:
     """Innovation (m,), noise (m, m), Jacobian (m, N) of a measurement."""
     nu, noise, h, columns = np.zeros(3), np.zeros((3, 3)), np.zeros((3, COLUMNS)), np.zeros(COLUMNS, np.int64)
     row = np.array([0, 0, 0, 0, 0, 0, 5.0, 0.0])
-    m, k = model(int(kind), x, DATA[kind], row, 1.0, CONFIG, nu, noise, columns, h)
+    m, k = model(int(kind), x, DATA[kind] if data is None else data, row, 1.0, CONFIG, nu, noise, columns, h)
     full = np.zeros((m, N))
     for c in range(k):
         full[:, columns[c]] += h[:m, c]
@@ -101,6 +101,18 @@ def test_measurement_jacobians_equal_numerical_derivatives(kind: Kind, u: Array)
         numeric[:, j] = -(ends[0] - ends[1]) / (2.0 * step)  # the innovation is the measurement less the prediction
     tolerance = 2e-4 if kind is Kind.COMPASS else 1e-6
     np.testing.assert_allclose(h[:, :ESTIMATED_REFERENCE], numeric, atol=tolerance)
+
+
+@given(floats)
+def test_a_range_linearised_elsewhere_is_the_tangent_of_the_range_there(u: Array) -> None:
+    there, here, at = state(u), state(u), DATA[Kind.RANGE].copy()
+    here[:2] += 50.0 * u[30:32]
+    lever = rotation_of(there) @ CONFIG.lever[Kind.RANGE]
+    at[5:] = 1.0, *(there[:2] + lever[:2])
+    exact, _, slope = innovation(Kind.RANGE, there)
+    tangent, _, same = innovation(Kind.RANGE, here, at)
+    np.testing.assert_allclose(same[:, :2], slope[:, :2], atol=1e-12)
+    np.testing.assert_allclose(tangent, exact - slope[:, :2] @ (here - there)[:2], atol=1e-10)
 
 
 def motions(u: Array) -> MotionLog:

@@ -14,6 +14,7 @@ from fbn_common.records import JointState, Odometry, PredictedMotion, Record, Ve
 from fbn_common.types import Array, nanoseconds, seconds
 from fbn_predict.commands import Commands, Malformed, actuator_values
 from fbn_predict.dynamics import COLUMNS, model_of
+from fbn_predict.habit import Habit
 from fbn_predict.parameters import PredictParameters, prior
 from fbn_predict.roll import Levels, new_ring, noise_of_step, roll
 
@@ -40,7 +41,7 @@ class Predict:
 
     def _reset(self) -> None:
         n = self.slots
-        self._commands = Commands()
+        self._commands, self._habit = Commands(), Habit(self.parameters.frozen_after)
         self._ring = new_ring(n)
         self._prior = prior(self.parameters.dynamics, self.parameters.doubt)
         self._mean, self._covariance = self._prior.mean.copy(), self._prior.covariance.copy()
@@ -87,6 +88,9 @@ class Predict:
         silence = seconds(self._now_ns - self._commands.newest_ns)
         if self._commands.newest_ns < 0:
             return Health(Level.WARN, "no actuators yet: propeller taken as still, motion uncertain", values)
+        if self._habit.frozen:
+            same = f"actuators frozen? {self._habit.repeats + 1} equal commands"
+            return Health(Level.WARN, f"{same}: last command held, uncertainty grows", values)
         if silence > self.parameters.actuator_timeout:
             return Health(
                 Level.WARN, f"actuators silent for {silence:.1f} s: last command held, uncertainty grows", values
@@ -109,6 +113,9 @@ class Predict:
             return untouched, [Output(INNOVATIONS, refusal(record.stamp_ns, _FRAME, "actuators", Verdict.LATE, why))]
         if record.stamp_ns > self._now_ns + nanoseconds(self.parameters.ahead):
             return untouched, [self._say(record.stamp_ns, "actuators", "stamp too far ahead of the clock")]
+        frozen = self._habit.hear(record.stamp_ns, values)
+        if frozen:  # the last command is held, as in silence
+            return untouched, [self._say(record.stamp_ns, "actuators", frozen)]
         self._counts["actuators.used"] += 1
         return (record.stamp_ns if self._commands.put(record.stamp_ns, values) else untouched), []
 

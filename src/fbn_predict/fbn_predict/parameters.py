@@ -111,6 +111,12 @@ class PredictParameters:
     actuator_timeout: float = param(
         2.0, "s", "silence of actuators after which uncertainty grows", "20 missed commands"
     )
+    frozen_after: int = param(
+        20,
+        "-",
+        "equal commands in a row, and thrice as many as ever, after which they count as silence; 0 = never",
+        "2 s at 10 Hz; autopilots change a command with each message",
+    )
     history: float = param(
         6.0, "s", "for how long late commands and feedback are worked in", "5 s of delay, and a margin"
     )

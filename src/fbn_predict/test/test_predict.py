@@ -10,7 +10,7 @@ import pytest
 
 from fbn_common.estimator import Level
 from fbn_common.motion_ekf.layout import GRID_NS
-from fbn_common.records import JointState, Odometry, Pose, PredictedMotion, VehicleParameters, Verdict
+from fbn_common.records import Innovation, JointState, Odometry, Pose, PredictedMotion, VehicleParameters, Verdict
 from fbn_common.types import Array
 from fbn_predict.estimator import MOTION, PARAMETERS, Predict
 from fbn_predict.parameters import PredictParameters, prior
@@ -163,3 +163,61 @@ def test_a_jump_of_the_clock_starts_the_grid_anew_and_says_so(parameters: Predic
     said = [o.record.reason for o in predict.advance(now) if o.topic.endswith("innovations")]  # type: ignore[attr-defined]
     assert "jumped" in said[0]
     assert motions(predict.advance(now + 50_000_000))[0].start_ns == now
+
+
+def fed(predict: Predict, commands: list[JointState]) -> list[Innovation]:
+    """The answers to commands at 10 Hz, from the first stamp on."""
+    said = []
+    for c in commands:
+        predict.put("actuators", c)
+        said += [o.record for o in predict.advance(c.stamp_ns) if isinstance(o.record, Innovation)]
+    return said
+
+
+def lively(count: int, begin: int = 0) -> list[JointState]:
+    """Commands of a control loop: each a little different."""
+    return [command(T0 + 100_000_000 * k, 120.0, 0.01 * np.sin(k)) for k in range(begin, begin + count)]
+
+
+def test_commands_that_stop_changing_are_named_after_two_seconds_and_count_as_silence(
+    parameters: PredictParameters,
+) -> None:
+    predict = Predict(parameters)
+    stuck = [replace(lively(1, 149)[0], stamp_ns=T0 + 100_000_000 * k) for k in range(150, 210)]
+    assert not fed(predict, lively(150))
+    said = fed(predict, stuck)
+    assert said[0].reason == "frozen: 21 equal commands in a row, never more than 1 before"
+    assert said[0].verdict is Verdict.REFUSED
+    assert said[0].stamp_ns == stuck[19].stamp_ns
+    assert len(said) == len(stuck) - 19
+    assert predict.health().message.startswith("actuators frozen? 61 equal commands")
+    assert predict.health().level is Level.WARN
+    now = stuck[-1].stamp_ns
+    noise = motions(predict.advance(now + GRID_NS))[0].noise
+    assert not fed(predict, lively(1, 210))  # a change is believed at once
+    assert predict.health().level is Level.OK
+    assert np.trace(noise) > 10.0 * np.trace(motions(predict.advance(now + 120_000_000))[0].noise)
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "constant"),
+    [
+        ("from the start", 0, command(0)),
+        ("at rest", 150, command(0, 0.0)),
+    ],
+)
+def test_constant_commands_that_may_be_meant_are_believed(
+    parameters: PredictParameters, name: str, before: int, constant: JointState
+) -> None:
+    predict = Predict(parameters)
+    same = [replace(constant, stamp_ns=T0 + 100_000_000 * k) for k in range(before, before + 300)]
+    assert not fed(predict, [*lively(before), *same])
+    assert predict.health().level is Level.OK
+
+
+def test_a_stream_that_used_to_stay_the_same_may_do_so_again(parameters: PredictParameters) -> None:
+    """Steps of 1 s: up to three times as long, and never less than 2 s, is not suspicious."""
+    predict = Predict(parameters)
+    steps = [command(T0 + 100_000_000 * k, 120.0, 0.01 * (k // 10 if k < 1500 else 149)) for k in range(1535)]
+    said = fed(predict, steps)
+    assert [s.reason for s in said[:1]] == ["frozen: 28 equal commands in a row, never more than 10 before"]

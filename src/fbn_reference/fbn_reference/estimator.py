@@ -31,6 +31,7 @@ from fbn_common.motion_ekf.parameters import quantile_table
 from fbn_common.motion_ekf.sensors import Unusable, usable_covariance
 from fbn_common.records import BeaconRange, Datum, NavSatFix, Record, ReferenceFix, VehicleParameters, Verdict
 from fbn_common.types import Array, nanoseconds
+from fbn_reference.holding import Holding, Waiting
 from fbn_reference.parameters import ReferenceParameters
 from fbn_reference.service import Gain
 
@@ -57,6 +58,7 @@ class Reference(MotionFilter):
         super()._restart()
         for intake in self._beacons.values():
             intake.reset()
+        self._holding = Holding(self.own.lbl)
         self._gain: Gain | None = None
         self._fix_ns = self._settled_ns = self._parameters_ns = -1
 
@@ -100,12 +102,12 @@ class Reference(MotionFilter):
 
         def data(record: Any) -> Array:
             variance = max(record.range_variance, self.own.lbl.sigma_min**2) + beacon.sigma**2
-            return np.array([beacon.x, beacon.y, beacon.z, record.range, variance])
+            return np.array([beacon.x, beacon.y, beacon.z, record.range, variance, 0.0, 0.0, 0.0])
 
         return Intake(f"lbl.{name}", self.own.lbl, Kind.RANGE, BEACON_ROW + index, data, lambda r: content_of(r.range))
 
     def take(self, topic: str, record: Record, now_ns: int) -> list[Output]:
-        """A range belongs to the middle of its travel."""
+        """A range belongs to the middle of its travel; it waits if the gate cannot judge it."""
         if not isinstance(record, BeaconRange):
             return []
         intake = self._beacons.get(record.beacon_id)
@@ -116,7 +118,43 @@ class Reference(MotionFilter):
         at_middle = BeaconRange(
             stamp, record.frame_id, record.beacon_id, record.range, record.range_variance, record.travel_delay
         )
-        return self.measure(intake, topic, at_middle, now_ns)
+        data, said = self.examine(intake, at_middle, now_ns)
+        if data is None:
+            return said + (self._withdraw(intake, record.range) if intake.watch.stopped else [])
+        if self._holding.trusted(self.ekf, intake, stamp):
+            return self.enter(intake, topic, at_middle, data)
+        self._holding.put(Waiting(intake, at_middle, data))
+        return said
+
+    def _withdraw(self, intake: Intake, value: float) -> list[Output]:
+        """Take back what a beacon repeated before it was known to be frozen; answer what was not answered yet."""
+        rows, since, why = self.ekf.events.rows, intake.watch.began_ns, f"taken back: {intake.watch.stopped}"
+        mine = [s for s in self.ekf.events.slots if rows.sensor[s] == intake.row and rows.stamp[s] > since]
+        out = []
+        for slot in (s for s in mine if rows.data[s, 3] == value):
+            self.ekf.withdraw(slot)
+            if self._pending.pop(slot, None) is not None:
+                out.append(self._refuse(intake, int(rows.stamp[slot]), Verdict.REFUSED, why))
+        waited = self._holding.withdraw(intake, value, since)
+        return out + [self._refuse(intake, w.stamp_ns, Verdict.REFUSED, why) for w in waited]
+
+    def settle(self, now_ns: int) -> list[Output]:
+        """Rule on ranges that wait until no more can be said: who is admitted changes the position for the others."""
+        out: list[Output] = []
+        while self._holding.waiting:
+            ruling = self._holding.rule(self.ekf)
+            for w in ruling.admitted:
+                out += self.enter(w.intake, "lbl/range", w.record, w.data)
+            out += [self._refuse(w.intake, w.stamp_ns, Verdict.REFUSED, why.value) for w, why in ruling.refused]
+            if not ruling.admitted and not ruling.refused:
+                break
+            self.ekf.advance(now_ns)
+        return out
+
+    def notes(self) -> list[str]:
+        """What the beacons leave undecided."""
+        undecided = self._holding.complaint(self.ekf.head_ns)
+        return [undecided] if undecided else []
 
     def _range_objection(self, record: BeaconRange) -> str:
         lbl = self.own.lbl
@@ -184,7 +222,8 @@ class Reference(MotionFilter):
 
     def _gained(self) -> list[Output]:
         """Follow the measurements of position that are settled; publish their information when it is worth it."""
-        events, due = self.ekf.events, self.ekf.head_ns - nanoseconds(self.own.fix_delay)
+        events = self.ekf.events
+        due = self._holding.settled_ns(self.ekf.head_ns - nanoseconds(self.own.fix_delay))
         rows = events.rows
         for slot in events.slots[events.after(self._settled_ns) : events.after(due)]:
             self._settled_ns = int(rows.stamp[slot])

@@ -55,9 +55,31 @@ class LblParameters(SensorParameters):
     max_range: float = param(2000.0, "m", "a longer range is refused", "acoustics of small beacons")
     max_delay: float = param(5.0, "s", "a longer round trip is refused", "max_range")
     drop: float = param(60.0, "s", "for how long a beacon that lies is not listened to", "assumed")
+    hold: float = param(
+        5.0, "s", "for how long ranges wait for others while the position is uncertain; 0 = not", "a round of replies"
+    )
+    uncertain: float = param(
+        3.0,
+        "-",
+        "predicted range's deviation over the range's own beyond which they wait",
+        "lies of 12 sigma pass the gate",
+    )
+    margin: float = param(9.2, "-", "chi-square by which one set of beacons must beat another", "odds of 100 to 1")
+    belief: float = param(60.0, "s", "used so lately, a beacon's ranges need not wait", "as drop")
     position: Triple = param((0.0, 0.0, 0.0), "m", "of the transducer in base_link", "at the origin")
     lockout: int = param(5, "-", "consistent outliers in a row after which a beacon is dropped", "5 replies")
     dead_after: float = param(0.0, "s", "silence worth a warning; 0 = never", "beacons come and go")
+    frozen_after: int = param(
+        4,
+        "-",
+        "equal ranges in a row that noise does not explain; 0 = never",
+        "at rest 0.1 m of resolution repeats 0.3 m of noise at odds of 0.09: four times, 8e-5",
+    )
+
+    def __post_init__(self) -> None:
+        SensorParameters.__post_init__(self)
+        if self.hold < 0.0 or self.uncertain < 0.0 or self.margin < 0.0:
+            raise ParameterError("lbl.hold, lbl.uncertain and lbl.margin must not be negative")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,3 +109,7 @@ class ReferenceParameters(FilterParameters):
     fix_delay: float = param(0.3, "s", "wait after a measurement of position for data that is late", "sensor delays")
     fix_gain: float = param(0.1, "-", "least relative decrease of a variance that is worth a reference fix", "assumed")
     known_sigma: float = param(200.0, "m", "position is said to be known below this", "a fifth of unknown")
+
+    def __post_init__(self) -> None:
+        if self.lbl.hold > self.history.length - 1.0:
+            raise ParameterError("lbl.hold must be at least 1 s shorter than history.length: what waited comes late")

@@ -86,6 +86,13 @@ class MotionEkf:
             self._mark(stamp_ns - 1)
         return slot
 
+    def withdraw(self, slot: int) -> None:
+        """Take a measurement back; if it was used, the history is re-run without it."""
+        stamp = int(self.events.rows.stamp[slot])
+        self.events.remove(slot)
+        if stamp <= self.head_ns:
+            self._mark(stamp - 1)
+
     def _mark(self, ns: int) -> None:
         self._dirty_ns = ns if self._dirty_ns < 0 else min(self._dirty_ns, ns)
 

@@ -117,6 +117,10 @@ class MotionFilter:
         """Take in a record of a topic of the subclass's own."""
         return []
 
+    def settle(self, now_ns: int) -> list[Output]:
+        """Decide on what the subclass kept back, with the head where it is."""
+        return []
+
     def services(self, now_ns: int) -> list[Output]:
         """What else there is to publish after an advance."""
         return []
@@ -151,6 +155,7 @@ class MotionFilter:
         if self.ekf.head_ns >= 0:
             self.ekf.advance(now_ns)
             out += self._bridge(now_ns)
+            out += self.settle(now_ns)
             out += self._answers()
             out += self._odometry()
             out += self.services(now_ns)
@@ -205,6 +210,11 @@ class MotionFilter:
 
     def measure(self, intake: Intake, topic: str, record: Record, now_ns: int) -> list[Output]:
         """Put a measurement into the timeline, or say why not."""
+        data, said = self.examine(intake, record, now_ns)
+        return said if data is None else self.enter(intake, topic, record, data)
+
+    def examine(self, intake: Intake, record: Any, now_ns: int) -> tuple[Array | None, list[Output]]:
+        """The measurement's data, or None and what is said of it."""
         head, history = self.ekf.head_ns, self.parameters.history
         oldest = max(self.ekf.base.stamp_ns + 1, head - self.ekf.history_ns) if head >= 0 else 0
         bounds = (oldest, now_ns + nanoseconds(history.ahead))
@@ -212,19 +222,22 @@ class MotionFilter:
         if not intake.parameters.use:
             objection = (Verdict.REFUSED, "switched off by parameter")
         if objection is not None:
-            return [self._refuse(intake, record.stamp_ns, *objection)]
+            return None, [self._refuse(intake, record.stamp_ns, *objection)]
         try:
             data = intake.data(record)
         except Unusable as error:
-            return [self._refuse(intake, record.stamp_ns, Verdict.REFUSED, str(error))]
+            return None, [self._refuse(intake, record.stamp_ns, Verdict.REFUSED, str(error))]
         if data is None:
             intake.watch.verdicts["NO_BOTTOM"] += 1
-            return []
+        return data, []
+
+    def enter(self, intake: Intake, topic: str, record: Any, data: Array) -> list[Output]:
+        """Put a measurement that nothing speaks against into the timeline."""
         slot = self.ekf.put_event(record.stamp_ns, self.ranks[topic], intake.kind, intake.row, data)
         if slot < 0:
             return [self._refuse(intake, record.stamp_ns, Verdict.REFUSED, "more measurements than the history holds")]
         self._pending[slot] = intake
-        if intake.kind in (Kind.COMPASS, Kind.DEPTH) and head < 0:
+        if intake.kind in (Kind.COMPASS, Kind.DEPTH) and self.ekf.head_ns < 0:
             self._first.setdefault(intake.kind, []).append(record)
         return []
 

@@ -54,7 +54,7 @@ class Kind(IntEnum):
     DEPTH = 1  # z of the sensor, variance
     CLIMB = 2  # altitude along the beam, its variance, slope of the bottom, baseline [s], least cosine of tilt
     POSITION = 3  # x, y of the antenna, covariance xx, xy, yy
-    RANGE = 4  # beacon x, y, z, range, variance
+    RANGE = 4  # beacon x, y, z, range, variance, whether linearised at: x, y of the transducer
     PARAMETERS = 5  # handled outside the kernels
 
 

@@ -155,12 +155,16 @@ def _position(
 def _range(
     x: Array, data: Array, lever: Array, nu: Array, noise: Array, columns: IntArray, h: Array
 ) -> tuple[int, int]:
-    """``|p + R lever - beacon|``."""
-    offset, arm = np.empty(3), np.zeros((3, 3))
+    """``|p + R lever - beacon|``, linearised at the data's own x and y if they have one: the state may be far off."""
+    offset, arm, beyond = np.empty(3), np.zeros((3, 3)), np.zeros(3)
     for i in range(3):
         offset[i] = x[i] + _lever_rows(x, lever, arm, i, i, 0) - data[i]
+    if data[5] != 0.0:
+        for i in range(2):
+            beyond[i] = offset[i] - (data[6 + i] - data[i])
+            offset[i] -= beyond[i]
     distance = max(np.sqrt((offset * offset).sum()), 1e-3)
-    nu[0], noise[0, 0] = data[3] - distance, data[4]
+    nu[0], noise[0, 0] = data[3] - distance - (offset * beyond).sum() / distance, data[4]
     for i in range(3):
         columns[i], columns[3 + i] = POSITION + i, ROTATION + i
         h[0, i] = offset[i] / distance

@@ -25,6 +25,7 @@ class Watch:
     dead_after_s: float = 0.0  # silence that is worth a warning; 0 = never
     verdicts: Counter[str] = field(default_factory=Counter)
     newest_ns: int = -1
+    began_ns: int = -1  # stamp of the value that is repeated since
     stopped: str = ""  # why its last measurements were refused, where that lasts
     _recent: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=400))
     _seen: set[tuple[int, bytes]] = field(default_factory=set)
@@ -43,6 +44,8 @@ class Watch:
         self._remember(stamp_ns, content)
         self.newest_ns = max(self.newest_ns, stamp_ns)
         self._equal = self._equal + 1 if content == self._value else 0
+        if not self._equal:
+            self.began_ns = stamp_ns
         self._value = content
         self.stopped = ""
         if self.frozen_after and self._equal >= self.frozen_after:

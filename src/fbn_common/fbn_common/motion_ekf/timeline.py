@@ -132,6 +132,12 @@ class EventLog:
         rows.data[slot, : len(data)] = data
         return slot
 
+    def remove(self, slot: int) -> None:
+        """Drop one measurement."""
+        at = self.slots.index(slot)
+        del self.keys[at], self.slots[at]
+        self.rows.order[: len(self.slots)] = self.slots
+
     def after(self, stamp_ns: int) -> int:
         """Index of the first measurement stamped later."""
         return bisect_right(self.keys, (stamp_ns, 1 << 30, 0))

@@ -35,7 +35,7 @@ def warm_up(config: Config, size: int, rows: int) -> None:
         ekf.put_motion(standstill(i * GRID_NS))
     last = Kind.RANGE if size > SIZE_DEADRECK else Kind.CLIMB
     data = [compass, np.array([0.0, 0.01]), np.array([5.0, 0.01, 0.1, 0.0, 0.5]), np.array([0.0, 0.0, 1.0, 0.0, 1.0]),
-            np.array([5.0, 0.0, 0.0, 5.0, 1.0])]  # fmt: skip
+            np.array([5.0, 0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0])]  # fmt: skip
     for kind in Kind:
         if kind <= last:
             ekf.put_event(GRID_NS // 2, int(kind), kind, min(int(kind), rows - 1), data[kind])
