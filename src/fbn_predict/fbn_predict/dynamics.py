@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fbn_common.kernels import kernel
-from fbn_common.lie import skew, so3_exp, so3_right_jacobian
+from fbn_common.lie import product, skew, so3_exp, so3_right_jacobian
 from fbn_common.types import Array, Mat3, Vec3
 from fbn_predict.parameters import Dynamics
 
@@ -77,16 +77,6 @@ def actuation(model: Model, actuators: Array, speed: float, depth: float, out: A
     out[5] = -thrust * side - model.fin_torque * dynamic * rudder
     out[6], out[7], out[8] = 0.0, model.fin_lift * slope * rudder, -model.fin_lift * slope * plane
     out[9], out[10], out[11] = 0.0, -model.fin_torque * slope * plane, -model.fin_torque * slope * rudder
-
-
-@kernel
-def _mul(a: Mat3, b: Mat3) -> Mat3:
-    c = np.zeros((3, 3))
-    for i in range(3):
-        for k in range(3):
-            for j in range(3):
-                c[i, j] += a[i, k] * b[k, j]
-    return c
 
 
 @kernel
@@ -168,7 +158,7 @@ def _jacobians(
     theta, v, w = y[3:6], y[6:9], y[9:12]
     a[:], b[:] = 0.0, 0.0
     jr, et, m = so3_right_jacobian(theta), np.ascontiguousarray(e.T), model.mass
-    a[0:3, 3:6] = -_mul(_mul(e, skew(v)), jr)
+    a[0:3, 3:6] = -product(product(e, skew(v)), jr)
     a[0:3, 6:9] = e
     dot = theta[0] * w[0] + theta[1] * w[1] + theta[2] * w[2]
     square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
@@ -199,13 +189,17 @@ def _jacobians(
     for i in range(3):
         for j in range(3):
             by_water[i, j] = -r[i, j] - sw[i, j]
-    turn_water, turn_up = _mul(su, jr), _mul(skew(up), jr)
-    base_water, base_up = _mul(et, skew(water0)), _mul(et, skew(up0))
+    turn_water, turn_up = product(su, jr), product(skew(up), jr)
+    base_water, base_up = product(et, skew(water0)), product(et, skew(up0))
     axes = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             axes[i, j] = et[i, 0] * world[j, 0] + et[i, 1] * world[j, 1] + et[i, 2] * world[j, 2]
-    force_turn, force_base, force_axes = _mul(by_water, turn_water), _mul(by_water, base_water), _mul(by_water, axes)
+    force_turn, force_base, force_axes = (
+        product(by_water, turn_water),
+        product(by_water, base_water),
+        product(by_water, axes),
+    )
     for i in range(3):
         for j in range(3):
             a[6 + i, 3 + j] = force_turn[i, j] + lift * turn_up[i, j]

@@ -19,12 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fbn_common.records import FluidPressure, Imu, Odometry, Pose, PoseWithCovarianceStamped, Record
-from fbn_common.types import NS, Array
+from fbn_common.types import Array
 from fbn_ros.conversion import Malformed
-from fbn_ros.primitives import PREFIX
+from fbn_ros.primitives import PREFIX, put_text, put_time, text_at, time_at
 from fbn_ros.validation import NORM_TOLERANCE, QUATERNIONS, check, has_rules, is_covariance
 
-_TIME, _LENGTH = struct.Struct("<iI"), struct.Struct("<I")
 _NUMBERS = re.compile(r"double(?:\[(\d+)\])?")
 _POSE = "geometry_msgs/Pose"
 
@@ -57,17 +56,16 @@ class Flat:
 
     def encode(self, record: Any) -> bytes:
         """The bytes of the record's message."""
-        frame = record.frame_id.encode() if self._framed else b""
-        sec, nanosec = divmod(record.stamp_ns, NS)
-        head = bytearray(PREFIX + _TIME.pack(sec, nanosec) + _LENGTH.pack(len(frame) + 1) + frame + b"\0")
+        frame = record.frame_id if self._framed else ""
+        body = bytearray()
+        put_time(body, record.stamp_ns)
+        put_text(body, frame)
         for name, what in self._lead:
-            head += b"\0" * (-len(head) % 4)
             if what == "time":
-                head += _TIME.pack(*divmod(getattr(record, name), NS))
+                put_time(body, getattr(record, name))
             else:
-                text = getattr(record, name).encode()
-                head += _LENGTH.pack(len(text) + 1) + text + b"\0"
-        head += b"\0" * (-(len(head) - 4) % 8)
+                put_text(body, getattr(record, name))
+        body += b"\0" * (-len(body) % 8)
         numbers = np.empty(self._count)
         for name, start, stop, shape in self._runs:
             value = getattr(record, name)
@@ -77,13 +75,16 @@ class Flat:
                 numbers[start:stop] = np.asarray(value).reshape(-1)
             else:
                 numbers[start] = value
-        return bytes(head) + numbers.tobytes()
+        return PREFIX + bytes(body) + numbers.tobytes()
 
     def decode(self, data: bytes) -> Record | None:
         """The record; None if these bytes need the slow way (other byte order, too short, or something is wrong)."""
+        if data[:4] != PREFIX:
+            return None
+        body = data[4:]
         try:
-            values, position = self._decode_lead(data)
-            numbers = np.frombuffer(data, "<f8", self._count, position).copy()
+            values, position = self._decode_lead(body)
+            numbers = np.frombuffer(body, "<f8", self._count, position).copy()
         except (struct.error, ValueError, IndexError):
             return None
         if not self._ruled and not self._usable(numbers):
@@ -98,21 +99,16 @@ class Flat:
         record = self.kind(**values)
         return typing.cast(Record, record) if not self._ruled or _passes(record) else None
 
-    def _decode_lead(self, data: bytes) -> tuple[dict[str, Any], int]:
+    def _decode_lead(self, body: bytes) -> tuple[dict[str, Any], int]:
         """Header, times and names; and where the numbers begin."""
-        if data[:4] != PREFIX:
-            raise ValueError
-        values: dict[str, Any] = {"stamp_ns": _time(data, 4)}
-        frame_id, position = _text(data, 12)
+        stamp_ns, position = time_at(body, 0)
+        values: dict[str, Any] = {"stamp_ns": stamp_ns}
+        frame_id, position = text_at(body, position)
         if self._framed:
             values["frame_id"] = frame_id
         for name, what in self._lead:
-            position += -position % 4
-            if what == "time":
-                values[name], position = _time(data, position), position + 8
-            else:
-                values[name], position = _text(data, position)
-        return values, position + -(position - 4) % 8
+            values[name], position = time_at(body, position) if what == "time" else text_at(body, position)
+        return values, position + -position % 8
 
     def _usable(self, numbers: Array) -> bool:
         """As :mod:`fbn_ros.validation`, all fields at once; what fails here is told in detail there."""
@@ -133,21 +129,6 @@ def _passes(record: Any) -> bool:
     except Malformed:
         return False
     return True
-
-
-def _time(data: bytes, position: int) -> int:
-    sec, nanosec = _TIME.unpack_from(data, position)
-    if nanosec >= NS:
-        raise ValueError
-    return int(sec) * NS + int(nanosec)
-
-
-def _text(data: bytes, position: int) -> tuple[str, int]:
-    (length,) = _LENGTH.unpack_from(data, position)
-    end = position + 4 + length
-    if not 0 < length <= len(data) - position - 4:
-        raise ValueError
-    return data[position + 4 : end - 1].decode(), end
 
 
 # --- which types are flat ------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ _TIME, _LENGTH, _COUNT = struct.Struct("<iI"), struct.Struct("<I"), struct.Struc
 
 
 def put_time(body: bytearray, stamp_ns: int) -> None:
-    body += _TIME.pack(*divmod(stamp_ns, NS))
+    body += b"\0" * (-len(body) % 4) + _TIME.pack(*divmod(stamp_ns, NS))
 
 
 def put_length(body: bytearray, length: int) -> None:
@@ -41,6 +41,7 @@ def put_numbers(body: bytearray, numbers: Array) -> None:
 
 
 def time_at(body: bytes, position: int) -> tuple[int, int]:
+    position += -position % 4
     sec, nanosec = _TIME.unpack_from(body, position)
     if nanosec >= NS:
         raise ValueError("a second has 1000000000 ns")

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scipy.stats import chi2
 
 from fbn_bringup.ui import number, out, progress, table
+from fbn_common import chi_square
 from fbn_testing.motion_faults import BEGIN_S, END_S, KINDS, SENSORS, Cell, cell, listen, voyage
 from fbn_testing.motion_voyage import NIS_GROUPS, Judged, front_half, in_map, judge, navigate, transit
 
@@ -82,7 +82,7 @@ def report(title: str, found: list[Judged]) -> None:
 
 def _band(dof: int) -> str:
     """The 95 % band of a mean over so many independent degrees of freedom."""
-    return f"{chi2.ppf(0.025, dof) / dof:.2f}–{chi2.ppf(0.975, dof) / dof:.2f}" if dof else ""
+    return "–".join(f"{edge:.2f}" for edge in chi_square.band(dof)) if dof else ""
 
 
 def _two(values: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from fbn_common.kernels import kernel
-from fbn_common.lie import skew, so3_exp, so3_log, so3_right_jacobian
+from fbn_common.lie import product, skew, so3_exp, so3_log, so3_right_jacobian
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
     COMPASS,
@@ -24,16 +24,6 @@ from fbn_common.motion_ekf.layout import (
     Motions,
 )
 from fbn_common.types import Array, Mat3
-
-
-@kernel
-def _product(a: Mat3, b: Mat3) -> Mat3:
-    c = np.zeros((3, 3))
-    for i in range(3):
-        for k in range(3):
-            for j in range(3):
-                c[i, j] += a[i, k] * b[k, j]
-    return c
 
 
 @kernel
@@ -84,8 +74,8 @@ def _offsets(x: Array, motions: Motions, k: int, a0: float, estimated: int, d: A
         turned[0, j] = c * ours[0, j] - s * ours[1, j]
         turned[1, j] = s * ours[0, j] + c * ours[1, j]
         turned[2, j] = ours[2, j]
-    base = _product(used, so3_exp(a0 * mean[3:6]))
-    d[0:3] = so3_log(_product(np.ascontiguousarray(base.T), turned))
+    base = product(used, so3_exp(a0 * mean[3:6]))
+    d[0:3] = so3_log(product(np.ascontiguousarray(base.T), turned))
     for i in range(6):
         d[3 + i] = x[X_VELOCITY + i] - (mean[6 + i] + a0 * (mean[12 + i] - mean[6 + i]))
     if estimated <= ACTUATION + 3:  # considered parameters follow the motion's
@@ -108,7 +98,7 @@ def _offsets(x: Array, motions: Motions, k: int, a0: float, estimated: int, d: A
 def _transition(r: Mat3, turn: Mat3, s: Array, phi: Array, jacobian: Array, w: float, c: float, sn: float) -> Array:
     """F - I (12, 24): position, rotation, velocity by rotation 3, velocity 6, parameters 15."""
     f = np.zeros((12, 24))
-    rc = _product(r, turn)
+    rc = product(r, turn)
     jr = so3_right_jacobian(phi)
     for j in range(24):
         for i in range(3):
@@ -118,7 +108,7 @@ def _transition(r: Mat3, turn: Mat3, s: Array, phi: Array, jacobian: Array, w: f
             f[6 + i, j] = w * jacobian[6 + i, j]
     for i in range(6):
         f[6 + i, 3 + i] -= w
-    moved = _product(r, skew(_apply(turn, s)))
+    moved = product(r, skew(_apply(turn, s)))
     back = so3_exp(-phi)
     for i in range(3):
         back[i, i] -= 1.0
@@ -187,7 +177,7 @@ def _push(p: Array, f: Array, near: bool, g: Array) -> None:
 def _add_noise(p: Array, r: Mat3, turn: Mat3, phi: Array, noise: Array, w: float) -> None:
     """P += w G Q G', with G taking (increment, rotation vector, velocity) to the error state."""
     g = np.zeros((12, 12))
-    g[0:3, 0:3] = _product(r, turn)
+    g[0:3, 0:3] = product(r, turn)
     g[3:6, 3:6] = so3_right_jacobian(phi)
     half = np.zeros((6, 12))
     for i in range(6):
@@ -258,7 +248,7 @@ def propagate(x: Array, p: Array, motions: Motions, k: int, a0: float, a1: float
         x[POSITION + i] += step[i]
     for i in range(6):
         x[X_VELOCITY + i] += w * (mean[12 + i] - mean[6 + i] + change[6 + i] - d[3 + i])
-    set_rotation(x, _product(r, so3_exp(phi)))
+    set_rotation(x, product(r, so3_exp(phi)))
     near, g = _surface(x, f, config)
     _push(p, f, near, g)
     _add_noise(p, r, turn, phi, motions.noise[k], w)
