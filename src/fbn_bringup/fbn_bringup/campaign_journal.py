@@ -6,6 +6,8 @@ import csv
 import dataclasses
 import hashlib
 import json
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -69,18 +71,29 @@ def _row(line: dict[str, Any]) -> Row:
 
 
 def fingerprint(plan: Plan) -> str:
-    """A digest of what a seed's row depends on: settings, scenario and parameter files, the sources of all packages.
-
-    Files that those files name (a sonar's) are not in it.
-    """
+    """A digest of what a seed's row depends on: settings, the files they name, and the sources of all packages."""
     digest = hashlib.sha256(repr((plan.scenario, plan.settings)).encode())
-    for path in (Path(plan.scenario), *plan.parameter_files):
-        digest.update(path.read_bytes() if path.is_file() else b"")
+    for path in _files(plan):
+        digest.update(path.read_bytes())
     root = project_root()
     for path in sorted((root / "src").glob("*/fbn_*/**/*")) if root else ():
         if path.suffix in (".py", ".yaml"):
             digest.update(str(path.relative_to(root or path)).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _files(plan: Plan) -> Iterator[Path]:
+    """Scenario and parameter files, and the YAML files (a sonar's) that they or the settings name."""
+    yield from _named(Path(), " ".join(plan.settings))
+    for path in (Path(plan.scenario), *plan.parameter_files):
+        if path.is_file():
+            yield path
+            yield from _named(path.parent, path.read_text(encoding="utf-8"))
+
+
+def _named(place: Path, text: str) -> Iterator[Path]:
+    """Files ending in .yaml that a text names, from the directory it speaks of."""
+    return (found for name in re.findall(r"[^\s\"'=:,\[\]{}]+\.yaml", text) if (found := place / name).is_file())
 
 
 def write(directory: Path, plan: Plan, rows: list[Row]) -> Path:

@@ -80,6 +80,20 @@ def test_rows_of_other_settings_are_not_mixed_in(tmp_path: Path) -> None:
         Journal(tmp_path / "v", Plan("atlantis", (vehicle,)))
 
 
+def test_rows_made_with_a_sonar_file_that_has_changed_are_not_mixed_in(tmp_path: Path) -> None:
+    sonar, vehicle = tmp_path / "ours.yaml", tmp_path / "vehicle.yaml"
+    vehicle.write_text("tracking:\n  head: {sonar: ours.yaml}\n")
+    for name, plan in {
+        "by file": Plan("atlantis", (vehicle,)),
+        "by setting": Plan("atlantis", (), (f"tracking.head.sonar={sonar}",)),
+    }.items():
+        sonar.write_text("range_max: 40")
+        Journal(tmp_path / name, plan)
+        sonar.write_text("range_max: 50")
+        with pytest.raises(JournalError):
+            Journal(tmp_path / name, plan)
+
+
 def test_the_command_goes_on_and_begins_anew_when_told(fbn, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     target = tmp_path / "c"
     Journal(target, NOWHERE).keep(Row(0, {"dives": 6.0}, 1.0))
