@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from fbn_bringup.evaluation.calibration import bins, expected_error
 from fbn_global.naps import surplus_gains
 from fbn_global.parameters import GlobalParameters, ScoringParameters
-from fbn_testing.calibration import bins, expected_error
 from fbn_testing.composite_world import World
 from fbn_testing.ideal_observer import posterior
 from fbn_testing.matching_play import play

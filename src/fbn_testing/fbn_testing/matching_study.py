@@ -6,6 +6,7 @@ python -m fbn_testing.matching_study imperfect_map --seeds 100
 python -m fbn_testing.matching_study shifted_map --seeds 100
 python -m fbn_testing.matching_study other_place --seeds 100
 python -m fbn_testing.matching_study calibration --seeds 400 --figure reliability.png
+python -m fbn_testing.matching_study even_odds --seeds 100 --figure reliability.png
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from pathlib import Path
 
 from rich.progress import track
 
+from fbn_bringup.evaluation import calibration
 from fbn_common.records import Localization
 from fbn_global.parameters import METHODS, GlobalParameters
-from fbn_testing import calibration, ideal_observer
+from fbn_testing import ideal_observer
 from fbn_testing.composite_world import Run, World
 from fbn_testing.matching_play import Outcome, play
 from fbn_testing.matching_worlds import drawn, elsewhere, river_world, rows_world
@@ -125,9 +127,9 @@ def worlds(make: Make, o: Options) -> None:
     show(play_all(partial(play_world, make, o.methods), o, "worlds"), o)
 
 
-def calibrate(o: Options) -> None:
+def calibrate(make: Make, o: Options) -> None:
     """Of all the times that a posterior is stated, how often it is right; the map's error is drawn as it is stated."""
-    played = play_all(partial(play_world, drawn, o.methods), o, "worlds")
+    played = play_all(partial(play_world, make, o.methods), o, "worlds")
     show(played, o)
     for method in o.methods:
         print(f"{method:5s} expected calibration error {calibration.expected_error(stated(played, method)):.3f}")
@@ -150,13 +152,19 @@ def shifted(seed: int) -> Run:
     return World(river_world(seed, map_error=1.0, map_shift=(12.0, 9.0))).make()
 
 
+def even_odds(seed: int) -> Run:
+    """As the filter's prior has it: every other map is that of another place; of the rest a fifth is wrong."""
+    return elsewhere(seed) if seed % 2 else imperfect(seed)
+
+
 STUDIES: dict[str, Callable[[Options], None]] = {
     "row_ambiguity": row_ambiguity,
     "charles_river": partial(worlds, river),
     "imperfect_map": partial(worlds, imperfect),
     "shifted_map": partial(worlds, shifted),
     "other_place": partial(worlds, elsewhere),
-    "calibration": calibrate,
+    "calibration": partial(calibrate, drawn),
+    "even_odds": partial(calibrate, even_odds),
 }
 
 
@@ -168,7 +176,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--methods", default="NAPS", help=f"of {','.join(METHODS)}")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--figure", type=Path, help="reliability diagram (PNG), of calibration")
+    parser.add_argument("--figure", type=Path, help="reliability diagram (PNG), of calibration, even_odds")
     given = parser.parse_args()
     seeds = range(given.first, given.first + given.seeds)
     STUDIES[given.study](Options(seeds, tuple(given.methods.split(",")), given.jobs, given.figure))
