@@ -17,8 +17,9 @@ LIKELY = 0.01  # posterior from which a hypothesis that is not the best is shown
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """The map as a hypothesis has it (n, 2), tracked features upon it (k, 2), and what was swept [m]."""
+    """The prior map as a hypothesis has it (n, 2), tracked features upon it (k, 2), and what was swept [m]."""
 
+    features: tuple[r.MapFeature, ...]
     map_xy: Array
     tracked_xy: Array
     pairs: tuple[tuple[int, int], ...]  # rows of map_xy and of tracked_xy
@@ -41,13 +42,13 @@ def lay(
 ) -> Overlay:
     """A hypothesis's overlay of features (by key, in odom) and sweeps; the vehicle's pose in odom at its stamp."""
     xy = on_map(np.array(list(tracked.values())).reshape(-1, 3), h.pose, pose_odom)
-    rows, keys = {f.id: i for i, f in enumerate(believed.features)}, {k: i for i, k in enumerate(tracked)}
+    features = tuple(f for f in believed.features if f.prior)
+    rows, keys = {f.id: i for i, f in enumerate(features)}, {k: i for i, k in enumerate(tracked)}
     pairs = tuple((rows[m], keys[k]) for m, k in zip(h.map_ids, h.feature_keys, strict=True) if m in rows and k in keys)
-    map_xy = np.array([f.position[:2] for f in believed.features]).reshape(-1, 2)
+    map_xy = np.array([f.position[:2] for f in features]).reshape(-1, 2)
     map_xy = map_xy + _shift(map_xy, xy, pairs)
     sweep = swept(composites, lambda points: on_map(points, h.pose, pose_odom))
-    not_expected = {row for row, f in enumerate(believed.features) if not f.prior}
-    return Overlay(map_xy, xy, pairs, sweep, missed(sweep, map_xy, {row for row, _ in pairs} | not_expected))
+    return Overlay(features, map_xy, xy, pairs, sweep, missed(sweep, map_xy, {row for row, _ in pairs}))
 
 
 def on_map(points: Array, pose_map: r.Pose, pose_odom: r.Pose) -> Array:

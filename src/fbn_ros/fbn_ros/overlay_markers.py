@@ -57,7 +57,7 @@ class OverlayMarkers:
         tracked = tracked_places(self._composites)
         for rank, h in enumerate(likely(answer, MOST)):
             overlay = lay(h, last.p2_odom, self._map, tracked, list(self._composites))
-            for marker in _markers(overlay, h, self._map, np.array(list(tracked.values())).reshape(-1, 3)):
+            for marker in _markers(overlay, h, np.array(list(tracked.values())).reshape(-1, 3)):
                 marker.header, marker.action, marker.id = header, Marker.ADD, len(made)
                 marker.ns = f"hypothesis {rank}: {marker.ns}"
                 made.append(marker)
@@ -74,13 +74,13 @@ def tracked_places(composites: deque[r.CompositeMeasurement]) -> dict[int, Vec3]
     return found
 
 
-def _markers(o: Overlay, h: r.MatchHypothesis, believed: r.FeatureMap, tracked: Array) -> Iterator[Any]:
-    heights = np.array([f.position[2] for f in believed.features])
+def _markers(o: Overlay, h: r.MatchHypothesis, tracked: Array) -> Iterator[Any]:
+    heights = np.array([f.position[2] for f in o.features])
     features, found = np.column_stack([o.map_xy, heights]), np.column_stack([o.tracked_xy, tracked[:, 2]])
     if o.swept is not None:
         yield _swept(o.swept, float(heights.min(initial=0.0)) - 0.5)
     missed = set(o.missed)
-    known = [k for k, f in enumerate(believed.features) if f.prior and k not in missed]
+    known = [k for k in range(len(features)) if k not in missed]
     yield _dots("map", features[known], EXPECTED)
     yield _dots("tracked", found, TRACKED)
     for k in o.missed:

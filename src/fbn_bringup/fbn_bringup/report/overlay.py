@@ -78,6 +78,7 @@ def _overlay(run: Run, leg: Dive, h: r.MatchHypothesis, stamp: int, believed: r.
     composites = [c for c in run.of("tracking/composite", r.CompositeMeasurement) if leg.contains(c.stamp_ns)]
     laid = lay(h, pose_odom, believed, _tracked(run, leg, stamp), [c for c in composites if c.stamp_ns <= stamp])
     return DiveOverlay(
+        laid.features,
         laid.map_xy,
         laid.tracked_xy,
         laid.pairs,
@@ -87,7 +88,7 @@ def _overlay(run: Run, leg: Dive, h: r.MatchHypothesis, stamp: int, believed: r.
         h.id,
         h.posterior,
         h.log_score,
-        tuple(f.name or str(f.id) for f in believed.features),
+        tuple(f.name or str(f.id) for f in laid.features),
         on_map(odom.between(leg.start_ns, leg.end_ns).position[::15], h.pose, pose_odom),
     )
 
