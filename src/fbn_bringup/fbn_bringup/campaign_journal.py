@@ -6,12 +6,15 @@ import csv
 import dataclasses
 import hashlib
 import json
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fbn_bringup.campaign import Plan, Row, spreads
+from fbn_bringup.campaign import Plan, Row, spreads, stated_by
+from fbn_bringup.evaluation.calibration import bins, diagram
 from fbn_bringup.simulation import project_root
 
 
@@ -38,7 +41,7 @@ class Journal:
 
     def rows(self) -> dict[int, Row]:
         """Rows by seed; a seed that failed is not among them, so that it is run again."""
-        found = [Row(**line) for line in self._lines()[1:]]
+        found = [_row(line) for line in self._lines()[1:]]
         return {row.seed: row for row in found if not row.error}
 
     def keep(self, row: Row) -> None:
@@ -62,19 +65,35 @@ class Journal:
         self.path.write_text("".join(line + "\n" for line in kept))
 
 
-def fingerprint(plan: Plan) -> str:
-    """A digest of what a seed's row depends on: settings, scenario and parameter files, the sources of all packages.
+def _row(line: dict[str, Any]) -> Row:
+    stated = tuple((float(posterior), bool(right)) for posterior, right in line.pop("stated", ()))
+    return Row(**line, stated=stated)
 
-    Files that those files name (a sonar's) are not in it.
-    """
+
+def fingerprint(plan: Plan) -> str:
+    """A digest of what a seed's row depends on: settings, the files they name, and the sources of all packages."""
     digest = hashlib.sha256(repr((plan.scenario, plan.settings)).encode())
-    for path in (Path(plan.scenario), *plan.parameter_files):
-        digest.update(path.read_bytes() if path.is_file() else b"")
+    for path in _files(plan):
+        digest.update(path.read_bytes())
     root = project_root()
     for path in sorted((root / "src").glob("*/fbn_*/**/*")) if root else ():
         if path.suffix in (".py", ".yaml"):
             digest.update(str(path.relative_to(root or path)).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _files(plan: Plan) -> Iterator[Path]:
+    """Scenario and parameter files, and the YAML files (a sonar's) that they or the settings name."""
+    yield from _named(Path(), " ".join(plan.settings))
+    for path in (Path(plan.scenario), *plan.parameter_files):
+        if path.is_file():
+            yield path
+            yield from _named(path.parent, path.read_text(encoding="utf-8"))
+
+
+def _named(place: Path, text: str) -> Iterator[Path]:
+    """Files ending in .yaml that a text names, from the directory it speaks of."""
+    return (found for name in re.findall(r"[^\s\"'=:,\[\]{}]+\.yaml", text) if (found := place / name).is_file())
 
 
 def write(directory: Path, plan: Plan, rows: list[Row]) -> Path:
@@ -96,6 +115,9 @@ def write(directory: Path, plan: Plan, rows: list[Row]) -> Path:
         "failed": {row.seed: row.error for row in rows if row.error},
         "measures": {s.name: finite(dataclasses.asdict(s)) for s in spreads(rows)},
     }
+    if stated := stated_by(rows):
+        diagram(directory / "reliability.png", {plan.scenario: stated})
+        document["reliability"] = [dataclasses.asdict(b) for b in bins(stated)]
     (directory / "summary.json").write_text(json.dumps(document, indent=2))
     return target
 
