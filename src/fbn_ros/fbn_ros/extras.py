@@ -12,7 +12,7 @@ from fbn_ros.tf import map_odom, odom_base, tf_message
 
 Extra = Callable[[str, r.Record], None]
 
-DRAWN = ("tracking/features", "global/map", "global/hypotheses")
+DRAWN = ("tracking/features", "tracking/composite", "global/map", "global/hypotheses")
 
 
 def for_node(node: Node, outputs: tuple[str, ...]) -> Extra:

@@ -7,11 +7,14 @@ import numpy as np
 
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.records import Stage, TrackedFeature, TrackedFeatures
-from fbn_common.types import Array
+from fbn_common.types import Array, Vec3
 from fbn_tracking.composite import cartesian_feature, elevation_scale
+from fbn_tracking.elevation import likelier_side
 from fbn_tracking.factors import feature_key, pose_key
 from fbn_tracking.matching import Joint
+from fbn_tracking.modes import Surroundings
 from fbn_tracking.nursery import Nursery
+from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.track import Track
 from fbn_tracking.window import Window
 
@@ -25,7 +28,7 @@ def tracked_features(
     motion = window.pings[window.last].motion
     T_odom_base = gtsam.Pose3(gtsam.Rot3(matrix_from_quaternion(motion.pose.orientation)), motion.pose.position)
     move = T_odom_base.compose(window.pose(window.last).inverse())
-    shown = [_feature(window, track, joint, move) for track in window.features.values()]
+    shown = [_feature(window, track, nursery.parameters.feature, joint, move) for track in window.features.values()]
     young = sorted(nursery.infants.values(), key=lambda t: t.key)
     shown += [_infant(t, move) for t in young if t.modes and (t.seen >= _SHOWN or t.memory is not None)]
     return TrackedFeatures(motion.stamp_ns, frame_id, pings, tuple(shown))
@@ -50,9 +53,23 @@ def _infant(track: Track, move: gtsam.Pose3) -> TrackedFeature:
     return _record(track, stage, mode.point, mode.covariance[:3, :3], move)
 
 
-def _feature(window: Window, track: Track, joint: Joint | None, move: gtsam.Pose3) -> TrackedFeature:
+def sided(window: Window, track: Track, feature: FeatureParameters) -> Vec3:
+    """A feature's r, phi, theta, on the likelier side where the smoother has swung off the one it graduated on.
+
+    The graph holds neither floor nor surface, so that nothing but ranges keeps it there; composites choose anew.
+    """
+    q = np.asarray(window.values.atPoint3(feature_key(track.key)))
+    swung = bool(track.modes) and q[2] * track.modes[0].x[2] < 0.0
+    if not swung or feature.elevation != "cubic":
+        return q
+    return likelier_side(track, q, Surroundings(window.poses(), window.pings, np.zeros((2, 2)), feature))
+
+
+def _feature(
+    window: Window, track: Track, feature: FeatureParameters, joint: Joint | None, move: gtsam.Pose3
+) -> TrackedFeature:
     ka, kf = pose_key(track.anchor), feature_key(track.key)
-    q = window.values.atPoint3(kf)
+    q = sided(window, track, feature)
     point, by_anchor, by_q = cartesian_feature(window.values.atPose3(ka).matrix(), track, q)
     covariance = track.modes[0].covariance[:3, :3] if track.modes else np.eye(3)
     if joint is not None and ka in joint.offset and kf in joint.offset:
