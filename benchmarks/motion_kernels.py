@@ -51,8 +51,7 @@ def contests() -> list[Contest]:
 
 def _contest(name: str, ekf: MotionEkf) -> list[Contest]:
     n = len(ekf.state.covariance)
-    for k in range(3):
-        ekf.put_motion(standstill(k * GRID_NS))
+    ekf.put_motions(*(standstill(k * GRID_NS) for k in range(3)))
     compass = np.concatenate((np.eye(3).ravel(), 0.01 * np.eye(3).ravel()))
     slot = ekf.put_event(GRID_NS, 0, Kind.COMPASS, 0, compass)
     x, p, sensors = (a.copy() for a in ekf.state[1:])

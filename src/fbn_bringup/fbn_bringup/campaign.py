@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.table import Table
 
+from fbn_bringup.evaluation.calibration import Stated, bins, expected_error
 from fbn_bringup.evaluation.evaluate import Evaluation, evaluate
 from fbn_bringup.evaluation.run import NOT_KEPT, Item, Run, collect
 from fbn_bringup.ui import number, table
@@ -41,6 +42,7 @@ class Row:
     values: dict[str, float | None]
     wall_s: float
     error: str = ""
+    stated: Stated = ()  # posteriors of the vehicle's place on the map, and whether it was the right one
 
 
 MEASURES: dict[str, tuple[str, int, bool]] = {  # name: (unit, digits, is more worse)
@@ -90,7 +92,9 @@ def run_seed(plan: Plan, seed: int) -> Row:
     begin = time.monotonic()
     try:
         run, speed = navigate(plan, seed)
-        return Row(seed, measures(evaluate(run), run, speed), time.monotonic() - begin)
+        result = evaluate(run)
+        stated = tuple((s.posterior, s.right) for dive in result.dives for s in dive.stated)
+        return Row(seed, measures(result, run, speed), time.monotonic() - begin, stated=stated)
     except Exception as error:  # one bad seed must not cost the others; the row and the exit status tell
         return Row(seed, {}, time.monotonic() - begin, f"{type(error).__name__}: {error}")
 
@@ -185,8 +189,8 @@ def spread(name: str, values: list[float]) -> Spread:
     )
 
 
-def summary_tables(plan: Plan, rows: list[Row]) -> tuple[Table, Table]:
-    """The campaign in two tables: what was reached, and whether the estimators knew how good they were."""
+def summary_tables(plan: Plan, rows: list[Row]) -> tuple[Table, ...]:
+    """The campaign in tables: what was reached, whether the estimators knew how good they were, and where they are."""
     good = [row for row in rows if not row.error]
     reached = table(
         f"{plan.scenario}: {len(good)} of {len(rows)} seeds",
@@ -203,7 +207,22 @@ def summary_tables(plan: Plan, rows: list[Row]) -> tuple[Table, Table]:
             name = f"{s.name} \\[{unit}]" if unit else s.name
             reached.add_row(name, str(s.seeds), total, *(number(v, digits) for v in (s.median, s.low, s.high, s.worst)))
     honest.caption = "the band of the mean were each run one independent sample: its samples are correlated"
-    return reached, honest
+    return (reached, honest, reliability_table(rows)) if stated_by(rows) else (reached, honest)
+
+
+def stated_by(rows: list[Row]) -> Stated:
+    """All posteriors of the vehicle's place that the seeds stated, and whether each was right."""
+    return [pair for row in rows for pair in row.stated]
+
+
+def reliability_table(rows: list[Row]) -> Table:
+    """Of all the times that a place on the map was said to be so likely, how often it was the right one."""
+    stated = stated_by(rows)
+    made = table("posterior of the place on the map", "stated", "right", "95 % bound", "of")
+    for b in bins(stated):
+        made.add_row(number(b.stated, 3), number(b.right, 3), f"{b.low:.3f}–{b.high:.3f}", str(b.count))
+    made.caption = f"expected calibration error {expected_error(stated):.3f}; statements of one dive hang together"
+    return made
 
 
 def _band(s: Spread, rows: list[Row]) -> tuple[str, str]:

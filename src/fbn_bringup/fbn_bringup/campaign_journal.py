@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fbn_bringup.campaign import Plan, Row, spreads
+from fbn_bringup.campaign import Plan, Row, spreads, stated_by
+from fbn_bringup.evaluation.calibration import bins, diagram
 from fbn_bringup.simulation import project_root
 
 
@@ -40,7 +41,7 @@ class Journal:
 
     def rows(self) -> dict[int, Row]:
         """Rows by seed; a seed that failed is not among them, so that it is run again."""
-        found = [Row(**line) for line in self._lines()[1:]]
+        found = [_row(line) for line in self._lines()[1:]]
         return {row.seed: row for row in found if not row.error}
 
     def keep(self, row: Row) -> None:
@@ -62,6 +63,11 @@ class Journal:
     def _drop_tail(self, whole: int) -> None:
         kept = self.path.read_text().splitlines()[:whole]
         self.path.write_text("".join(line + "\n" for line in kept))
+
+
+def _row(line: dict[str, Any]) -> Row:
+    stated = tuple((float(posterior), bool(right)) for posterior, right in line.pop("stated", ()))
+    return Row(**line, stated=stated)
 
 
 def fingerprint(plan: Plan) -> str:
@@ -109,6 +115,9 @@ def write(directory: Path, plan: Plan, rows: list[Row]) -> Path:
         "failed": {row.seed: row.error for row in rows if row.error},
         "measures": {s.name: finite(dataclasses.asdict(s)) for s in spreads(rows)},
     }
+    if stated := stated_by(rows):
+        diagram(directory / "reliability.png", {plan.scenario: stated})
+        document["reliability"] = [dataclasses.asdict(b) for b in bins(stated)]
     (directory / "summary.json").write_text(json.dumps(document, indent=2))
     return target
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fbn_bringup.campaign import Plan, Row, run_campaign
-from fbn_bringup.campaign_journal import Journal, JournalError
+from fbn_bringup.campaign import Plan, Row, run_campaign, summary_tables
+from fbn_bringup.campaign_journal import Journal, JournalError, write
 
 
 @pytest.mark.campaign
@@ -42,6 +43,18 @@ def test_a_row_is_on_disk_when_its_seed_ends_and_one_that_failed_is_tried_again(
     )
     assert on_disk == [1, 2, 3]  # what was planned, and a line more after each seed
     assert Journal(tmp_path, NOWHERE).rows() == {}
+
+
+def test_what_was_stated_is_kept_with_its_row_and_told_in_table_summary_and_figure(tmp_path: Path) -> None:
+    journal = Journal(tmp_path, NOWHERE)
+    journal.keep(Row(1, {"dives": 6.0}, 1.0, stated=((0.995, True),) * 19 + ((0.995, False),)))
+    rows = list(Journal(tmp_path, NOWHERE).rows().values())
+    assert rows[0].stated[-1] == (0.995, False)
+    write(tmp_path, NOWHERE, rows)
+    told = json.loads((tmp_path / "summary.json").read_text())["reliability"]
+    assert [(b["count"], b["right"]) for b in told] == [(20, 0.95)]
+    assert (tmp_path / "reliability.png").stat().st_size > 1000
+    assert [len(t.rows) for t in summary_tables(NOWHERE, rows)][-1] == 1
 
 
 def test_a_line_cut_off_by_a_crash_costs_that_row_alone(tmp_path: Path) -> None:

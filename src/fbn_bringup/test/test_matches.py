@@ -53,6 +53,17 @@ def test_a_match_declared_by_a_dives_last_composite_counts_though_its_answer_com
     assert result.dives[0].matches.after_s == pytest.approx(after_composite + 4.0, abs=0.41)  # two samples of truth
 
 
+@pytest.mark.parametrize(("wrong", "right"), [(0, True), (1, True), (4, False)])
+def test_each_posterior_stated_of_a_place_is_judged_by_the_pairs_of_its_dive(
+    story, tell, truth_of, wrong: int, right: bool
+):
+    s = story(wrong_pairs=wrong)
+    dives = evaluate(collect(tell(s), truth=truth_of(s))).dives
+    assert all({(x.posterior, x.right) for x in d.stated} == {(0.98, right)} for d in dives)
+    answers = sum(topic == "global/hypotheses" for _, topic, _ in tell(s))
+    assert sum(len(d.stated) for d in dives) == answers > 3
+
+
 def test_identity_does_not_depend_on_dead_reckonings_drift(story, tell, truth_of):
     s = story(drift=(0.2, -0.3))  # 200 m by the end
     run = collect(tell(s), truth=truth_of(s))

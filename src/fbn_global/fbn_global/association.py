@@ -25,12 +25,12 @@ class Associator:
         m = parameters.matching
         self.noise = np.diag([m.object_sigma**2, m.object_sigma**2, m.object_up_sigma**2])
 
-    def sets(self, null: Hypothesis, field: Field, known: set[frozenset[tuple[int, int]]]) -> list[Grown]:
+    def sets(self, h: Hypothesis, field: Field, known: set[frozenset[tuple[int, int]]]) -> list[Grown]:
         """Sets of pairs (key, row), likeliest first: one grown from every anchor that no other set explains yet."""
-        keys, rows = null.unexplained(), self.candidates(null, field)
+        keys, rows = h.unexplained(), self.candidates(h, field)
         if not keys or len(rows) == 0:
             return []
-        problem = self.problem(null, keys, rows, field)
+        problem = self.problem(h, keys, rows, field)
         found: dict[frozenset[tuple[int, int]], Grown] = {}
         explained = {pair for pairs in known for pair in pairs}
         m = self.p.matching
@@ -96,7 +96,7 @@ class Associator:
         return allowed
 
     def candidates(self, h: Hypothesis, field: Field) -> Rows:
-        """Map features that may be one of the found ones under the null, by their own uncertainty and the map's."""
+        """Map features that may be one of the found ones, by their own uncertainty and the map's."""
         rows: set[int] = set()
         for key in h.unexplained():
             mean, covariance = h.state.marginal(Block(Kind.FOUND, key))

@@ -1,7 +1,8 @@
 """The bank: the null hypothesis and its rivals, carried through composites and fixes, born, scored and pruned.
 
 The null hypothesis matches nothing; it is always there and every birth starts from its state, which holds all found
-features.  A hypothesis dropped too soon is therefore born again when the evidence turns.
+features.  A hypothesis dropped too soon is therefore born again when the evidence turns.  One that has lost its place,
+by a restart or a long way without features, has children as well: one for each way in which it may go on.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from fbn_global.naps import evaluate, positive
 from fbn_global.parameters import GlobalParameters
 from fbn_global.reference_update import Fixed
 from fbn_global.state import Block, Kind, State, remove
+
+_LIKELY = 0.01  # posterior of a hypothesis worth the time to look for children
 
 
 class Bank:
@@ -85,30 +88,38 @@ class Bank:
             self.rivals = self._jointly_compatible(field)
             return
         associator = self._associator
-        extended = [associator.extended(associator.in_reach(h, field), field) for h in self.rivals]
-        scored = [self._scored(h, field) for h in (*extended, *self._births(field, extended))]
-        self._rank(_distinct(scored))
+        reached = [associator.in_reach(h, field) for h in self.rivals]
+        adrift = [h for h in reached if self._adrift(h)]
+        living = [h if h in adrift else associator.extended(h, field) for h in reached]
+        born = [child for parent in (self.null, *adrift) for child in self._births(parent, field, living)]
+        self._rank(_distinct([self._scored(h, field) for h in (*living, *born)]))
 
-    def _births(self, field: Field, living: list[Hypothesis]) -> list[Hypothesis]:
-        """New hypotheses from the null's state: the likely sets of pairs that no living one explains yet."""
-        associator, b = self._associator, self.p.bank
-        sets = associator.sets(self.null, field, {h.account for h in living})[: b.hypotheses]
-        best = max([0.0, *(s.log_ratio for s in sets), *(h.score.log_ratio for h in self.rivals)])
-        likely = [s for s in sets if s.log_ratio > best - b.keep_log_ratio]
-        return [associator.in_reach(self._born(s.pairs, field), field) for s in likely]
+    def _adrift(self, h: Hypothesis) -> bool:
+        """Whether a likely hypothesis has lost its place, by a restart or a long way: it may go on in several ways."""
+        return h.score.posterior > _LIKELY and h.sigma_on_map() > self.p.verdict.lost_sigma
 
-    def _born(self, pairs: Pairs, field: Field) -> Hypothesis:
-        """A new hypothesis: the null's state with these pairs (key, row) merged."""
-        h = self._associator.paired(self.null, pairs, field)
+    def _births(self, parent: Hypothesis, field: Field, living: list[Hypothesis]) -> list[Hypothesis]:
+        """New hypotheses from a parent's state: likely sets of pairs that no living one of its kind explains yet."""
+        associator, b, own = self._associator, self.p.bank, parent.account
+        known = {h.account - own for h in living if own <= h.account}
+        sets = associator.sets(parent, field, known)[: b.hypotheses]
+        so_far = parent.score.log_ratio
+        best = max([0.0, *(so_far + s.log_ratio for s in sets), *(h.score.log_ratio for h in self.rivals)])
+        likely = [s for s in sets if so_far + s.log_ratio > best - b.keep_log_ratio]
+        return [associator.in_reach(self._born(parent, s.pairs, field), field) for s in likely]
+
+    def _born(self, parent: Hypothesis, pairs: Pairs, field: Field) -> Hypothesis:
+        """A new hypothesis: the parent's state with these pairs (key, row) merged."""
+        h = self._associator.paired(parent, pairs, field)
         self._next += 1
-        return replace(h, id=self._next - 1, parent=self.null.id)
+        return replace(h, id=self._next - 1, parent=parent.id)
 
     def _jointly_compatible(self, field: Field) -> list[Hypothesis]:
         """For comparison: the one set of pairs that joint compatibility takes, as if it were sure."""
         pairs = self._associator.jointly_compatible(self.null, field)
         if not pairs:
             return []
-        h = self._scored(self._born(pairs, field), field)
+        h = self._scored(self._born(self.null, pairs, field), field)
         self.null = replace(self.null, score=Score(posterior=0.0))
         return [replace(h, score=replace(h.score, posterior=1.0))]
 
@@ -154,8 +165,10 @@ class Bank:
         """All hypotheses, as they would be without the tracker's keys."""
         return tuple(_without_keys(h) for h in self.all)
 
-    def restore(self, hypotheses: tuple[Hypothesis, ...]) -> None:
-        """Take these for all there are, the null first."""
+    def restore(self, hypotheses: tuple[Hypothesis, ...], area: float) -> None:
+        """Take these for all there are, the null first, found over so large an area [m^2]; all since is forgotten."""
+        self.memory.forget_all()
+        self.memory.swept_before += area
         self.null = hypotheses[0]
         self._next = 1 + max(h.id for h in hypotheses)
         self._rank(list(hypotheses[1:]))

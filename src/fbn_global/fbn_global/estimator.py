@@ -121,6 +121,7 @@ class Global:
         datum = GeodeticPoint(record.latitude, record.longitude, record.height)
         if self._datum is None:
             self._set_datum(datum)
+            self._restore()
             self._publish_map(record.stamp_ns)
         elif datum != self._datum:
             reason = f"map has its origin already, at {self._datum}"
@@ -139,7 +140,7 @@ class Global:
             self._odometry_restarts(latest, odometry)
         reckoned = reckoning.history.add(odometry)
         if self._bank is None:
-            self._restore(self._begin(reckoned, odometry.pose_covariance), reckoned, odometry.pose_covariance)
+            self._begin(reckoned, odometry.pose_covariance)
         elif reckoning.start and odometry.stamp_ns - reckoning.start.stamp_ns > nanoseconds(_IDLE_S):
             self._move(reckoning.move_to(reckoned))
         if self._located and self._bank is not None:
@@ -162,11 +163,15 @@ class Global:
         spread[2:, 2:] = np.diag(np.maximum(np.diag(covariance)[2:], 1e-8))
         self._bank = Bank(start(reckoned.pose, spread, p.drift_sigma**2 * np.eye(3)), self.p)
         self._reckoning.start = reckoned
+        self._restore()
         return self._bank
 
-    def _restore(self, bank: Bank, reckoned: Reckoned, covariance: Array) -> None:
-        """Take up the state of before a restart, if there is one that fits."""
-        age_s = self._state_file.restore(bank, self._field, reckoned, covariance)
+    def _restore(self) -> None:
+        """Take up the state of before a restart, once dead reckoning and map's origin are known, if it fits."""
+        start = self._reckoning.start
+        if not self._state_file.awaited or self._bank is None or self._field is None or start is None:
+            return
+        age_s = self._state_file.restore(self._bank, self._field, start.stamp_ns)
         if age_s is not None:
             self._located = True
             self._results.verdict = Verdict(reason=f"restored from {age_s:.0f} s ago")

@@ -34,6 +34,7 @@ class Field:
     visibility: Array
     parameters: PriorMapParameters
     tree: cKDTree | None
+    datum: GeodeticPoint
 
     def covariance(self, a: Rows, b: Rows) -> Array:
         """Prior covariance (3 a, 3 b) [m^2] of these rows' positions."""
@@ -81,6 +82,7 @@ def build_field(prior: PriorMap, datum: GeodeticPoint, parameters: PriorMapParam
         np.clip(values([f.visibility for f in features], p.visibility), 0.02, 0.98),
         p,
         cKDTree(position[:, :2]) if len(features) else None,
+        datum,
     )
 
 

@@ -29,6 +29,7 @@ class Memory:
 
     def __init__(self) -> None:
         self.last_sequence = -1
+        self.swept_before = 0.0  # m^2, before a restart
         self._areas: dict[int, SweptArea] = {}
         self._sightings: dict[int, list[Sighting]] = {}
         self._cells: set[int] = set()
@@ -45,7 +46,7 @@ class Memory:
 
     @property
     def area(self) -> float:
-        return len(self._cells) * _CELL**2
+        return self.swept_before + len(self._cells) * _CELL**2
 
     def sequences(self) -> list[int]:
         return list(self._areas)

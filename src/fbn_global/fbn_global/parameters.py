@@ -98,7 +98,7 @@ class VerdictParameters:
     null_posterior: float = param(
         5e-3, "-", "only while nothing-matched is below", "1 in 200 wrong, however often one looks (Ville 1939)"
     )
-    keep_posterior: float = param(0.8, "-", "keep it above", "hysteresis")
+    keep_posterior: float = param(0.5, "-", "keep it above", "likelier than not; what it is now is told with it")
     hold_updates: int = param(
         1, "-", "composites for which it must stay so", "one lasts 30 s: the posterior is proof enough"
     )

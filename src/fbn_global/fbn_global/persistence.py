@@ -1,7 +1,8 @@
 """The filter's state on disk: written whole or not at all, read back only if whole, of this map, and not too old.
 
 Kept is what outlives a restart of all nodes: every hypothesis's pose, map features, pairs and evidence.  Found features
-and origins hang on the tracker's keys and are gone with it.
+and origins hang on the tracker's keys and are gone with it.  ``map`` may have another origin after the restart, as a
+first fix gave it: what is kept is carried over to that.
 """
 
 from __future__ import annotations
@@ -9,18 +10,19 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 
-from fbn_common.types import Array
-from fbn_global.field import Field
+from fbn_common.geodesy import GeodeticPoint, enu_from_geodetic, geodetic_array_from_enu
+from fbn_common.prior_map import PriorFeature
 from fbn_global.hypotheses import Hypothesis, Score
-from fbn_global.state import HEAD, XY, Block, Kind, State, restart
+from fbn_global.state import HEAD, LOCAL, XY, Block, Kind, State, restart
 
-_MAGIC = b"FBN global state 1\n"
+_MAGIC = b"FBN global state 2\n"
 
 
 class StateFileError(ValueError):
@@ -29,17 +31,19 @@ class StateFileError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Saved:
-    """The bank at a time, and a fingerprint of the map it is about."""
+    """The bank at a time, a fingerprint of the map it is about, ``map``'s origin, and the area swept in all [m^2]."""
 
     stamp_ns: int
     fingerprint: str
+    datum: GeodeticPoint
+    area: float
     hypotheses: tuple[Hypothesis, ...]  # the null first
 
 
-def fingerprint(field: Field) -> str:
-    """What tells one map about one datum from another."""
-    ids = np.array([f.id for f in field.features], dtype=np.int64)
-    return hashlib.sha256(ids.tobytes() + field.position.tobytes()).hexdigest()
+def fingerprint(features: Sequence[PriorFeature]) -> str:
+    """What tells one map from another: ids and places of its features, whatever the datum."""
+    told = [(f.id, f.latitude, f.longitude, f.up) for f in features]
+    return hashlib.sha256(repr(told).encode()).hexdigest()
 
 
 def save(path: Path, saved: Saved) -> None:
@@ -47,6 +51,8 @@ def save(path: Path, saved: Saved) -> None:
     arrays: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]] = {
         "stamp_ns": np.array(saved.stamp_ns, dtype=np.int64),
         "fingerprint": np.array(saved.fingerprint),
+        "datum": np.array([saved.datum.latitude, saved.datum.longitude, saved.datum.height]),
+        "area": np.array(saved.area),
         "count": np.array(len(saved.hypotheses), dtype=np.int64),
     }
     for n, h in enumerate(saved.hypotheses):
@@ -83,10 +89,12 @@ def load(path: Path) -> Saved:
     try:
         with np.load(io.BytesIO(data[head + 32 :]), allow_pickle=False) as arrays:
             hypotheses = tuple(_hypothesis(arrays, n) for n in range(int(arrays["count"])))
-            saved = Saved(int(arrays["stamp_ns"]), str(arrays["fingerprint"]), hypotheses)
-    except (KeyError, ValueError, IndexError, BadZipFile) as error:  # whole, but written by another program
+            datum = GeodeticPoint(*(float(v) for v in arrays["datum"]))
+            area = float(arrays["area"])
+            saved = Saved(int(arrays["stamp_ns"]), str(arrays["fingerprint"]), datum, area, hypotheses)
+    except (KeyError, ValueError, TypeError, IndexError, BadZipFile) as error:  # whole, but written by another program
         raise StateFileError(f"{path.name}: does not hold what it should: {error}") from error
-    if not hypotheses or not all(_sound(h.state) for h in hypotheses):
+    if not hypotheses or not saved.area >= 0.0 or not all(_sound(h.state) for h in hypotheses):
         raise StateFileError(f"{path.name}: holds a state that is not finite and positive definite")
     return saved
 
@@ -120,17 +128,25 @@ def _hypothesis(arrays: np.lib.npyio.NpzFile, n: int) -> Hypothesis:
     return Hypothesis(identity, parent, state, evidence, pairs, dropped=surplus, score=score)
 
 
-def aged(h: Hypothesis, pose: Array, pose_covariance: Array, age_s: float, speed: float) -> Hypothesis:
+def aged(h: Hypothesis, begun: State, age_s: float, speed: float) -> Hypothesis:
     """A saved hypothesis after a time in which the vehicle may have gone anywhere at this speed [m/s].
 
-    Depth, attitude and drift are known anew; xy keep what they were, with ``(speed age)^2`` more variance.
+    Depth, attitude and drift are those of the state that has begun; xy keep what they were, with ``(speed age)^2``
+    more variance.
     """
-    local = slice(2, HEAD)
-    mean = np.concatenate([pose[2:], np.zeros(3)])
-    spread = np.zeros((7, 7))
-    spread[:4, :4] = np.diag(np.maximum(np.diag(pose_covariance)[2:], 1e-8))
-    spread[4:, 4:] = h.state.covariance[6:HEAD, 6:HEAD]
-    state = restart(h.state, local, mean, spread)
+    state = restart(h.state, LOCAL, begun.mean[LOCAL], begun.covariance[LOCAL, LOCAL])
     covariance = state.covariance.copy()
     covariance[XY, XY] += (speed * age_s) ** 2 * np.eye(2)
     return replace(h, state=replace(state, covariance=covariance))
+
+
+def carried_over(h: Hypothesis, old: GeodeticPoint, new: GeodeticPoint) -> Hypothesis:
+    """A hypothesis about another origin of ``map``; that its axes turn too, by 1e-4 a kilometre or so, is left out."""
+    if old == new:
+        return h
+    firsts = np.array([XY.start, *h.state.starts.values()])
+    mean = h.state.mean.copy()
+    places = np.column_stack([mean[firsts], mean[firsts + 1], np.zeros(len(firsts))])
+    for first, (latitude, longitude, height) in zip(firsts, geodetic_array_from_enu(places, old), strict=True):
+        mean[first : first + 2] = enu_from_geodetic(latitude, longitude, height, new)[:2]
+    return replace(h, state=replace(h.state, mean=mean))

@@ -84,22 +84,21 @@ def agree(one: Association, other: Association) -> bool:
 def _still(before: Verdict, top: Mode | None, found: list[Mode], p: VerdictParameters) -> Verdict:
     """A match once declared, kept or lost."""
     if top is None:
-        return _lost(before, "no hypothesis is left but the null")
+        return _lost(before, 0.0, "no hypothesis is left but the null")
     pairs = top.best.account
     if not agree(before.declared, pairs):
-        return _lost(
-            before, f"contradicted: {len(top.best.rows)} features now fit elsewhere, posterior {top.posterior:.3f}"
-        )
+        elsewhere = f"{len(top.best.rows)} features now fit elsewhere, posterior {top.posterior:.3f}"
+        return _lost(before, top.posterior, f"contradicted: {elsewhere}")
     if top.posterior < p.keep_posterior:
-        return _lost(before, f"posterior fell to {top.posterior:.3f}; {_listed(found, p)}")
+        return _lost(before, top.posterior, f"posterior fell to {top.posterior:.3f}; {_listed(found, p)}")
     if top.best.sigma_on_map() > p.lost_sigma:
-        return _lost(before, f"known on the map to {top.best.sigma_on_map():.1f} m only")
+        return _lost(before, top.posterior, f"known on the map to {top.best.sigma_on_map():.1f} m only")
     reason = f"{len(top.best.rows)} features of the map, posterior {top.posterior:.4f}"
     return replace(before, reason=reason, posterior=top.posterior, declared=pairs)
 
 
-def _lost(before: Verdict, reason: str) -> Verdict:
-    return Verdict(Localization.LOST, reason, since_ns=before.since_ns)
+def _lost(before: Verdict, posterior: float, reason: str) -> Verdict:
+    return Verdict(Localization.LOST, reason, posterior, since_ns=before.since_ns)
 
 
 def _well_known(top: Mode, p: VerdictParameters) -> bool:

@@ -187,9 +187,12 @@ def verdicts(*updates: list[Mode]) -> list[Verdict]:
 
 def test_a_match_must_hold_before_it_is_declared_and_is_kept_with_hysteresis() -> None:
     sure, less = [mode(HERE, 0.9985)], [mode(HERE, 0.9)]
-    states = [v.state for v in verdicts(less, sure, sure, less, [mode(HERE, 0.5)])]
+    less_sure = [mode(HERE, 0.6), mode(THERE, 0.4, 20.0)]
+    found = verdicts(less, sure, sure, less, less_sure, [mode(HERE, 0.45)])
+    states = [v.state for v in found]
     m, u, lost = Localization.MATCHED, Localization.UNMATCHED, Localization.LOST
-    assert states == [u, u, m, m, lost]
+    assert states == [u, u, m, m, m, lost]
+    assert [v.posterior for v in found[3:]] == [0.9, 0.6, 0.45]  # what is believed of it is always told
 
 
 def test_two_likely_places_are_ambiguous_and_named() -> None:

@@ -13,12 +13,24 @@ import numpy as np
 import pytest
 
 from fbn_common.estimator import Output
-from fbn_common.records import Innovation, Odometry, PoseWithCovarianceStamped, Verdict
+from fbn_common.geodesy import geodetic_from_enu
+from fbn_common.records import (
+    Datum,
+    Innovation,
+    Localization,
+    LocalizationStatus,
+    MatchHypotheses,
+    Odometry,
+    PoseWithCovarianceStamped,
+    Record,
+    Verdict,
+)
 from fbn_common.types import NS
 from fbn_global import persistence
 from fbn_global.estimator import Global
 from fbn_global.parameters import GlobalParameters
 from fbn_testing.composite_world import DATUM, Run, Settings, World, charles_river
+from fbn_testing.matching_play import is_right
 
 
 @pytest.fixture(scope="module")
@@ -155,3 +167,81 @@ def test_a_state_of_another_map_or_too_old_is_refused(run: Run, parameters: Glob
 def test_no_half_written_file_is_left(run: Run, parameters: GlobalParameters) -> None:
     finish(run, parameters)
     assert [p.name for p in Path(parameters.state_file).parent.iterdir()] == ["state.fbn"]
+
+
+def restarted(run: Run, parameters: GlobalParameters, after_s: float, late_s: float) -> list[Output]:
+    """A new filter and tracker: the same way once more, so long after the end; the datum comes late by so much."""
+    entries = [(t, r) for t, r in run.entries if t in ("deadreck/odometry", "tracking/composite")]
+    shift_ns = entries[-1][1].stamp_ns - entries[0][1].stamp_ns + round(after_s * NS)
+    datum = Datum(entries[0][1].stamp_ns + round(late_s * NS), "map", DATUM.latitude, DATUM.longitude, DATUM.height)
+    entries.append(("reference/datum", datum))
+    estimator, outputs = Global(replace(parameters, datum=[]), run.prior), []
+    for topic, record in sorted(((t, delayed(r, shift_ns)) for t, r in entries), key=lambda e: e[1].stamp_ns):
+        estimator.put(topic, record)
+        outputs += estimator.advance(record.stamp_ns)
+    return outputs
+
+
+def delayed(record: Record, by_ns: int) -> Record:
+    starts = {"start_ns": record.start_ns + by_ns} if hasattr(record, "start_ns") else {}
+    return replace(record, stamp_ns=record.stamp_ns + by_ns, **starts)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 5.0, 30.0])
+def test_a_state_waits_for_the_datum_and_the_vehicle_finds_itself_by_it_again(
+    run: Run, parameters: GlobalParameters, late_s: float
+) -> None:
+    """The datum comes with the first odometry, after it, or after two composites; no fix, only the state says where."""
+    finish(run, parameters)
+    outputs = restarted(run, parameters, 60.0, late_s)
+    assert [a[0] for a in answers(outputs)] == [Verdict.USED]
+    statuses = [o.record for o in outputs if isinstance(o.record, LocalizationStatus)]
+    assert statuses[-1].state is Localization.MATCHED
+    told = [o.record for o in outputs if isinstance(o.record, MatchHypotheses)]
+    assert is_right(told[-1], 0, run)
+
+
+def test_without_a_datum_a_state_is_neither_used_nor_written_over(run: Run, parameters: GlobalParameters) -> None:
+    finish(run, parameters)
+    before = Path(parameters.state_file).read_bytes()
+    outputs = restarted(run, parameters, 60.0, 1e6)[:-1]
+    assert not [o for o in outputs if isinstance(o.record, PoseWithCovarianceStamped)]
+    assert Path(parameters.state_file).read_bytes() == before or answers(outputs)
+
+
+def test_about_another_datum_the_state_is_carried_over(run: Run, parameters: GlobalParameters) -> None:
+    """The new origin lies 300 m east and 400 m south of the old: all places move by as much the other way."""
+    before = finish(run, parameters)
+    there = geodetic_from_enu(np.array([300.0, -400.0, 0.0]), DATUM)
+    moved = replace(parameters, datum=[there.latitude, there.longitude, 0.0])
+    estimator, outputs = again(run, moved, 5.0)
+    assert [a[0] for a in answers(outputs)] == [Verdict.USED]
+    assert estimator._bank is not None and before._bank is not None and estimator._field is not None
+    for old, new in zip(before._bank.all, estimator._bank.all, strict=True):
+        shift = new.state.mean[:2] - old.state.mean[:2]
+        # the axes at 500 m differ by 500 m tan(42 deg) / R = 7e-5: 7 mm over the 100 m of the field
+        np.testing.assert_allclose(shift, [-300.0, 400.0], atol=0.1)
+        for row in new.rows:
+            block = persistence.Block(persistence.Kind.MAP, row)
+            from_file = new.state.marginal(block)[0][:2] - estimator._field.position[row, :2]
+            assert before._field is not None
+            as_before = old.state.marginal(block)[0][:2] - before._field.position[row, :2]
+            np.testing.assert_allclose(from_file, as_before, atol=0.02)
+
+
+def test_drift_learnt_before_a_restart_is_not_taken_for_that_of_the_new_dead_reckoning(
+    run: Run, parameters: GlobalParameters
+) -> None:
+    finish(run, parameters)
+    estimator, _ = again(run, parameters, 5.0)
+    assert estimator._bank is not None
+    for h in estimator._bank.all:
+        np.testing.assert_allclose(np.diag(h.state.covariance)[6:9], parameters.motion.drift_sigma**2)
+
+
+def test_the_area_swept_before_a_restart_counts_after_it(run: Run, parameters: GlobalParameters) -> None:
+    """How dense objects off the map are rests on all of it: found objects over no area would be a crowd."""
+    before = finish(run, parameters)
+    estimator, _ = again(run, parameters, 5.0)
+    assert estimator._bank is not None and before._bank is not None
+    assert estimator._bank.memory.area == before._bank.memory.area > 1000.0

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from math import isnan, nan, pi
 
 import numpy as np
+import numpy.typing as npt
 
 from fbn_common.records import JointState
 from fbn_common.types import Array
 
+IntArray = npt.NDArray[np.int64]
 ACTUATORS = ("propeller", "pan", "tilt", "rudder", "stern_plane")
-_LARGEST = np.array([2000.0, np.pi, np.pi, np.pi, np.pi])  # rad/s, rad: beyond is no actuator's
+_LARGEST = (2000.0, pi, pi, pi, pi)  # rad/s, rad: beyond is no actuator's
 
 
 class Malformed(Exception):
@@ -22,7 +25,7 @@ def actuator_values(record: JointState) -> Array:
 
     Raises Malformed.
     """
-    values = np.full(len(ACTUATORS), np.nan)
+    values = [nan] * len(ACTUATORS)
     for i, name in enumerate(record.name):
         if name not in ACTUATORS:
             continue
@@ -34,9 +37,9 @@ def actuator_values(record: JointState) -> Array:
         if not abs(value) <= _LARGEST[at]:
             raise Malformed(f"{name} is {value}, not within +-{_LARGEST[at]:.4g}")
         values[at] = value
-    if np.all(np.isnan(values)):
+    if all(map(isnan, values)):
         raise Malformed(f"names none of {', '.join(ACTUATORS)}: {record.name}")
-    return values
+    return np.array(values)
 
 
 class Commands:
@@ -70,13 +73,20 @@ class Commands:
         self._values.insert(at, filled)
         return True
 
-    def last_before(self, stamp_ns: int) -> int:
-        """Stamp of the command in force; far in the past without one."""
-        at = bisect_right(self._stamps, stamp_ns)
-        return self._stamps[at - 1] if at else -(1 << 60)
+    def means(self, start_ns: int, step_ns: int, count: int) -> Array:
+        """The commands' mean over each of these steps (count, 5): a stamp moved a little moves the mean a little."""
+        out = np.empty((count, len(ACTUATORS)))
+        at = bisect_right(self._stamps, start_ns)
+        out[:] = self._values[at - 1] if at else 0.0
+        while at < len(self._stamps) and (step := (self._stamps[at] - start_ns) // step_ns) < count:
+            begin = start_ns + step * step_ns
+            out[step] = self._mean(begin, begin + step_ns)
+            at = bisect_right(self._stamps, begin + step_ns - 1)
+            out[step + 1 :] = self._values[at - 1]
+        return out
 
-    def mean(self, start_ns: int, end_ns: int) -> Array:
-        """The commands' mean over an interval (5,): a stamp moved a little moves the mean a little."""
+    def _mean(self, start_ns: int, end_ns: int) -> Array:
+        """Over an interval (5,)."""
         at = bisect_right(self._stamps, start_ns)
         held = self._values[at - 1] if at else np.zeros(len(ACTUATORS))
         if at >= len(self._stamps) or self._stamps[at] >= end_ns:
@@ -87,6 +97,12 @@ class Commands:
             t, held = self._stamps[at], self._values[at]
             at += 1
         return (total + held * (end_ns - t)) / (end_ns - start_ns)
+
+    def ages(self, start_ns: int, step_ns: int, count: int) -> IntArray:
+        """At the start of each of these steps, how old [ns] (count,) the command in force is; ages without one."""
+        stamps = start_ns + step_ns * np.arange(count)
+        known = np.array([-(1 << 60), *self._stamps])
+        return np.asarray(stamps - known[np.searchsorted(known, stamps, side="right") - 1])
 
     def forget(self, before_ns: int) -> None:
         """Drop what is no longer in force at the stamp."""

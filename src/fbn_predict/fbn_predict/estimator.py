@@ -13,12 +13,12 @@ from fbn_common.motion_ekf.adopt import usable_parameters
 from fbn_common.motion_ekf.layout import GRID_NS
 from fbn_common.motion_ekf.monitor import all_finite, refusal
 from fbn_common.records import JointState, Odometry, PredictedMotion, Record, VehicleParameters, Verdict
-from fbn_common.types import Array, nanoseconds, seconds
+from fbn_common.types import NS, Array, nanoseconds, seconds
 from fbn_predict.commands import Commands, Malformed, actuator_values
-from fbn_predict.dynamics import COLUMNS, model_of
+from fbn_predict.dynamics import model_of
 from fbn_predict.habit import Habit
 from fbn_predict.parameters import PredictParameters, prior
-from fbn_predict.roll import Levels, new_ring, noise_of_step, roll
+from fbn_predict.roll import Levels, new_ring, new_steps, noise_of_step, roll
 
 _DT = GRID_NS * 1e-9
 _FRAME = "base_link"
@@ -176,9 +176,9 @@ class Predict:
         start, end = self._head_ns, now_ns // GRID_NS * GRID_NS
         if end <= start:
             return []
-        for stamp in range(start, end, GRID_NS):
-            self._ring.parameters[self._slot(stamp)] = self._known.mean
-            self._ring.feedback[self._slot(stamp + GRID_NS)] = False  # the ring's last round
+        slots = (start // GRID_NS + np.arange((end - start) // GRID_NS + 1)) % self.slots
+        self._ring.parameters[slots[:-1]] = self._known.mean
+        self._ring.feedback[slots[1:]] = False  # the ring's last round
         self._head_ns = end
         motions = self._roll(start, end, wanted=True)
         self._commands.forget(end - nanoseconds(self.parameters.history) - GRID_NS)
@@ -186,48 +186,19 @@ class Predict:
 
     def _roll(self, start_ns: int, end_ns: int, wanted: bool) -> list[Output]:
         """From one stamp of the grid to another; the motions, where they are wanted."""
-        stamps = range(start_ns, end_ns, GRID_NS)
-        n = len(stamps)
-        actuators = np.array([self._commands.mean(s, s + GRID_NS) for s in stamps])
-        mean, attitude = np.empty((n, 18)), np.empty((n, 4))
-        jacobian, noise = np.empty((n, 12, COLUMNS)), np.empty((n, 12, 12))
-        roll(
-            self._ring,
-            self._slot(start_ns),
-            actuators,
-            _DT,
-            self.model,
-            self._levels,
-            wanted,
-            mean,
-            attitude,
-            jacobian,
-            noise,
-        )
+        n = (end_ns - start_ns) // GRID_NS
+        actuators = self._commands.means(start_ns, GRID_NS, n)
+        made = new_steps(n if wanted else 0)
+        roll(self._ring, self._slot(start_ns), actuators, _DT, self.model, self._levels, wanted, made)
         if not wanted:
             return []
-        silent = [s for s in stamps if seconds(s - self._commands.last_before(s)) > self.parameters.actuator_timeout]
-        for s in silent:
-            k = (s - start_ns) // GRID_NS
-            noise[k] += self._silence(self._ring.parameters[self._slot(s)])
-        return [self._motion(s, mean[i], attitude[i], jacobian[i], noise[i]) for i, s in enumerate(stamps)]
-
-    def _motion(self, start_ns: int, mean: Array, attitude: Array, jacobian: Array, noise: Array) -> Output:
-        motion = PredictedMotion(
-            stamp_ns=start_ns + GRID_NS,
-            start_ns=start_ns,
-            increment=mean[0:3],
-            rotation=mean[3:6],
-            velocity_start=mean[6:12],
-            velocity_end=mean[12:18],
-            parameters=self._ring.parameters[self._slot(start_ns)].copy(),
-            jacobian_velocity=np.ascontiguousarray(jacobian[:, 0:6]),
-            jacobian_attitude=np.ascontiguousarray(jacobian[:, 6:9]),
-            jacobian_parameters=np.ascontiguousarray(jacobian[:, 9:24]),
-            noise=noise,
-            attitude_start=attitude,
-        )
-        return Output(MOTION, motion)
+        ages = self._commands.ages(start_ns, GRID_NS, n)
+        for k in np.flatnonzero(ages / NS > self.parameters.actuator_timeout):
+            made.noise[k] += self._silence(made.parameters[k])
+        ends = range(start_ns + GRID_NS, end_ns + GRID_NS, GRID_NS)
+        return [
+            Output(MOTION, PredictedMotion(end, end - GRID_NS, *parts)) for end, *parts in zip(ends, *made, strict=True)
+        ]
 
     def _silence(self, parameters: Array) -> Array:
         """What is added to a step's noise (12, 12) when the actuators are silent."""

@@ -7,8 +7,6 @@ under way, has probably stopped being fed.
 
 from __future__ import annotations
 
-import numpy as np
-
 from fbn_common.types import Array
 
 _CHANGES = 100  # messages that changed something, before there is a habit: 10 s at 10 Hz
@@ -23,7 +21,7 @@ class Habit:
         self.repeats = 0
         self._changes = self._longest = 0
         self._newest_ns = -1
-        self._last = np.empty(0)
+        self._last = b""
 
     def hear(self, stamp_ns: int, values: Array) -> str:
         """Take note of a command, propeller first; what is wrong with it, empty if nothing.
@@ -33,8 +31,8 @@ class Habit:
         if stamp_ns <= self._newest_ns:
             return ""
         self._newest_ns = stamp_ns
-        changed = not np.array_equal(values, self._last, equal_nan=True)
-        self._last = values
+        said = values.tobytes()
+        changed, self._last = said != self._last, said
         if changed:
             self._longest, self._changes = max(self._longest, self.repeats), self._changes + 1
         self.repeats = 0 if changed or values[0] == 0.0 else self.repeats + 1

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fbn_common.kernels import kernel
-from fbn_common.lie import quaternion_from_matrix, so3_exp
-from fbn_common.types import Array, Vec3
+from fbn_common.lie import product, quaternion_from_matrix, so3_exp
+from fbn_common.types import Array, Mat3, Vec3, Vec6
 from fbn_predict.dynamics import COLUMNS, Model, step
 
 _UNKNOWN_DEPTH = 1.0  # m, until dead reckoning says: neither at the surface nor out of the waves
@@ -26,6 +26,27 @@ class Ring(NamedTuple):
     velocity_fed: Array  # (n, 6)
     attitude_fed: Array  # (n, 3, 3)
     depth_fed: Array  # (n,)
+
+
+class Steps(NamedTuple):
+    """The motions of some steps, as in :class:`~fbn_common.records.PredictedMotion` and in its order."""
+
+    increment: Array  # (n, 3)
+    rotation: Array  # (n, 3)
+    velocity_start: Array  # (n, 6)
+    velocity_end: Array  # (n, 6)
+    parameters: Array  # (n, 15)
+    jacobian_velocity: Array  # (n, 12, 6)
+    jacobian_attitude: Array  # (n, 12, 3)
+    jacobian_parameters: Array  # (n, 12, 15)
+    noise: Array  # (n, 12, 12)
+    attitude_start: Array  # (n, 4)
+
+
+def new_steps(n: int) -> Steps:
+    """Room for the motions of ``n`` steps."""
+    shapes = ((3,), (3,), (6,), (6,), (15,), (12, 6), (12, 3), (12, 15), (12, 12), (4,))
+    return Steps(*(np.empty((n, *shape)) for shape in shapes))
 
 
 class Levels(NamedTuple):
@@ -73,14 +94,27 @@ def _noise(p: Array, depth: float, levels: Levels, dt: float, q: Array) -> None:
 
 
 @kernel
+def _keep(made: Steps, i: int, velocity: Vec6, attitude: Mat3, p: Array, y: Array, s: Array) -> None:
+    """Write down step ``i``: its start, its end ``y`` and the sensitivities ``s`` (12, 24)."""
+    made.increment[i], made.rotation[i] = y[0:3], y[3:6]
+    made.velocity_start[i], made.velocity_end[i] = velocity, y[6:12]
+    made.parameters[i], made.attitude_start[i] = p, quaternion_from_matrix(attitude)
+    for row in range(12):
+        for j in range(6):
+            made.jacobian_velocity[i, row, j] = s[row, j]
+        for j in range(3):
+            made.jacobian_attitude[i, row, j] = s[row, 6 + j]
+        for j in range(15):
+            made.jacobian_parameters[i, row, j] = s[row, 9 + j]
+
+
+@kernel
 def roll(
-    ring: Ring, first: int, actuators: Array, dt: float, model: Model, levels: Levels, wanted: bool,
-    mean: Array, attitude: Array, jacobian: Array, noise: Array,
-) -> None:  # fmt: skip
+    ring: Ring, first: int, actuators: Array, dt: float, model: Model, levels: Levels, wanted: bool, made: Steps
+) -> None:
     """Step from slot ``first`` on, once per row of ``actuators`` (n, 5); feedback met on the way is taken over.
 
-    Where wanted, row i of ``mean`` (increment 3, rotation 3, velocity at start 6, at end 6), ``attitude``
-    (quaternion at start), ``jacobian`` (12, 24) and ``noise`` (12, 12) is filled for step i.
+    Where wanted, row i of ``made`` is filled for step i.
     """
     size = ring.depth.shape[0]
     y, s = np.empty(12), np.empty((12, COLUMNS))
@@ -95,15 +129,7 @@ def roll(
         p, depth = ring.parameters[k], ring.depth[k]
         step(ring.velocity[k], ring.attitude[k], p, actuators[i], depth, dt, model, y, s, wanted)
         if wanted:
-            mean[i, 0:6], mean[i, 6:12], mean[i, 12:18] = y[0:6], ring.velocity[k], y[6:12]
-            attitude[i] = quaternion_from_matrix(ring.attitude[k])
-            jacobian[i] = s
-            _noise(p, depth, levels, dt, noise[i])
-        turn = so3_exp(y[3:6])
-        for a in range(3):
-            for b in range(3):
-                total = 0.0
-                for c in range(3):
-                    total += ring.attitude[k, a, c] * turn[c, b]
-                ring.attitude[n, a, b] = total
+            _keep(made, i, ring.velocity[k], ring.attitude[k], p, y, s)
+            _noise(p, depth, levels, dt, made.noise[i])
+        ring.attitude[n] = product(ring.attitude[k], so3_exp(y[3:6]))
         ring.velocity[n], ring.depth[n] = y[6:12], depth

@@ -193,7 +193,7 @@ class Reference(MotionFilter):
         state.x[0], state.x[1] = self.own.map.start_x, self.own.map.start_y
         return state
 
-    def publishes(self, state: State) -> bool:
+    def publishes(self) -> bool:
         """``map`` exists once there is a datum."""
         return self.datum is not None
 

@@ -23,7 +23,7 @@ class Gain:
     def __init__(self, mean: Vec2, covariance: Mat2) -> None:
         self.predicted, self.predicted_covariance = mean.copy(), covariance.copy()
         self.mean, self.covariance = mean.copy(), covariance.copy()
-        self.pending = False
+        self._left = 1.0  # of the predicted variance, in the direction in which most was learnt
 
     def add(self, before: Array, after: Array) -> None:
         """A measurement of position took (x, y, Pxx, Pxy, Pyy) from ``before`` to ``after``."""
@@ -32,14 +32,12 @@ class Gain:
         self.predicted += before[:2] - self.mean
         self.predicted_covariance += (vectors * np.maximum(values, 0.0)) @ vectors.T
         self.mean, self.covariance = after[:2].copy(), _covariance(after)
-        self.pending = True
+        ratio = np.linalg.eigvals(np.linalg.solve(self.predicted_covariance, self.covariance)).real
+        self._left = float(ratio.min())
 
     def worth(self, share: float) -> bool:
         """Whether the variance has decreased in some direction by this share."""
-        if not self.pending:
-            return False
-        ratio = np.linalg.eigvals(np.linalg.solve(self.predicted_covariance, self.covariance)).real
-        return bool(ratio.min() < 1.0 - share)
+        return self._left < 1.0 - share
 
     def collect(self) -> tuple[Vec2, Mat2]:
         """The equivalent measurement (xy, covariance); begins anew.
@@ -57,5 +55,5 @@ class Gain:
         offset = vectors @ np.where(told, pull * variances, 0.0)
         z, covariance = self.predicted + offset, (vectors * variances) @ vectors.T
         self.predicted, self.predicted_covariance = self.mean.copy(), self.covariance.copy()
-        self.pending = False
+        self._left = 1.0
         return z, covariance

@@ -48,7 +48,7 @@ def markers_of(record: r.Record) -> Any | None:
 def _tracked(record: r.TrackedFeatures) -> Iterator[Any]:
     for feature in record.features:
         yield _ellipsoid(feature.position, feature.covariance, COLOURS[feature.stage], feature.stage.name.lower())
-        yield _label(feature.position, f"{feature.key} ({feature.detections})")
+        yield label(feature.position, f"{feature.key} ({feature.detections})")
 
 
 def _map(record: r.FeatureMap) -> Iterator[Any]:
@@ -56,16 +56,16 @@ def _map(record: r.FeatureMap) -> Iterator[Any]:
         block = record.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         colour = TARGET if feature.target else PRIOR if feature.prior else FOUND
         yield _ellipsoid(feature.position, block, colour, "prior" if feature.prior else "found")
-        yield _label(feature.position, feature.name or str(feature.id))
+        yield label(feature.position, feature.name or str(feature.id))
 
 
 def _hypotheses(record: r.MatchHypotheses) -> Iterator[Any]:
     for hypothesis in record.hypotheses:
         q = hypothesis.pose.orientation
-        pose = RosPose(position=_point(hypothesis.pose.position), orientation=_quaternion(q))
+        pose = RosPose(position=point(hypothesis.pose.position), orientation=_quaternion(q))
         colour = (0.1, 0.3, 0.9, 0.2 + 0.8 * hypothesis.posterior)
-        yield Marker(ns="hypotheses", type=Marker.ARROW, pose=pose, scale=_vector(ARROW), color=_colour(colour))
-        yield _label(hypothesis.pose.position, f"{hypothesis.posterior:.2f} ({len(hypothesis.map_ids)} pairs)")
+        yield Marker(ns="hypotheses", type=Marker.ARROW, pose=pose, scale=vector(ARROW), color=colour_of(colour))
+        yield label(hypothesis.pose.position, f"{hypothesis.posterior:.2f} ({len(hypothesis.map_ids)} pairs)")
 
 
 _DRAWN: dict[type, Callable[[Any], Iterator[Any]]] = {
@@ -82,23 +82,26 @@ def _ellipsoid(position: Vec3, covariance: Mat3, colour: Colour, namespace: str)
         axes[:, 0] *= -1.0  # a reflection is no rotation
     q = quaternion_from_matrix(np.ascontiguousarray(axes))
     diameters = np.maximum(2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0)), SMALLEST_M)
-    pose = RosPose(position=_point(position), orientation=_quaternion(q))
-    return Marker(ns=namespace, type=Marker.SPHERE, pose=pose, scale=_vector(diameters), color=_colour(colour))
+    pose = RosPose(position=point(position), orientation=_quaternion(q))
+    return Marker(ns=namespace, type=Marker.SPHERE, pose=pose, scale=vector(diameters), color=colour_of(colour))
 
 
-def _label(position: Vec3, text: str) -> Any:
-    above = RosPose(position=_point(position + np.array([0.0, 0.0, 1.0])))
+def label(position: Vec3, text: str) -> Any:
+    """Text a metre above a position."""
+    above = RosPose(position=point(position + np.array([0.0, 0.0, 1.0])))
     scale = Vector3(z=0.6)
     return Marker(
-        ns="labels", type=Marker.TEXT_VIEW_FACING, pose=above, scale=scale, color=_colour((0, 0, 0, 1)), text=text
+        ns="labels", type=Marker.TEXT_VIEW_FACING, pose=above, scale=scale, color=colour_of((0, 0, 0, 1)), text=text
     )
 
 
-def _point(v: Vec3) -> Any:
+def point(v: Vec3) -> Any:
+    """A position (3,) as a message."""
     return Point(x=float(v[0]), y=float(v[1]), z=float(v[2]))
 
 
-def _vector(v: Any) -> Any:
+def vector(v: Any) -> Any:
+    """Three numbers as a message, of a marker's scale."""
     return Vector3(x=float(v[0]), y=float(v[1]), z=float(v[2]))
 
 
@@ -106,5 +109,6 @@ def _quaternion(q: Any) -> Any:
     return Quaternion(x=float(q[0]), y=float(q[1]), z=float(q[2]), w=float(q[3]))
 
 
-def _colour(colour: Colour) -> Any:
+def colour_of(colour: Colour) -> Any:
+    """Red, green, blue and opacity as a message."""
     return ColorRGBA(r=float(colour[0]), g=float(colour[1]), b=float(colour[2]), a=float(colour[3]))

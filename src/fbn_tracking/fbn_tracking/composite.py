@@ -7,7 +7,7 @@ known of it from there enters as a stated prior, to be divided out again by who 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,12 +16,13 @@ import numpy as np
 
 from fbn_common.lie import rpy_from_matrix, rpy_jacobian
 from fbn_common.records import CompositeFeature, CompositeMeasurement
-from fbn_common.types import Array, Mat3, Vec2, Vec3
+from fbn_common.types import Array, Vec2
+from fbn_tracking.elevation import Elevation, elevation_posterior, told
 from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.gating import beam_weights
 from fbn_tracking.geometry import cartesian_jacobian, cross_matrix, finite_slope
 from fbn_tracking.heading import turned, turned_prior
-from fbn_tracking.modes import Surroundings, elevation_posterior, find_modes
+from fbn_tracking.modes import Surroundings, find_modes
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.solver import Solution, solve, square_root_covariance
 from fbn_tracking.swept import swept_area
@@ -67,28 +68,15 @@ def marginalise(window: Window, last: int, slack: Array, feature: FeatureParamet
         solution = _solve(window, last, tracks, solution.values)
     poses = {i: solution.values.atPose3(pose_key(i)) for i in pings}
     around = Surroundings(poses, pings, slack, feature)
-    known = [
-        elevation_posterior(t, theta_of(solution.values, t), around) for t in tracks if feature.elevation == "cubic"
-    ]
-    mean, covariance = reduce(solution, window.first, last, tracks, [float(spread[2, 2]) for _, spread in known])
-    for number, (shift, spread) in enumerate(known):
-        widen(mean, covariance, number, shift, spread)
+    cubic = [t for t in tracks if feature.elevation == "cubic"]  # the linear model's is the Gaussian that it says
+    elevations = [elevation_posterior(t, theta_of(solution.values, t), around) for t in cubic]
+    mean, covariance = reduce(solution, window.first, last, tracks, elevations)
     return Part(window, pings, tracks, poses, mean, covariance)
 
 
 def theta_of(values: gtsam.Values, track: Track) -> float:
     """A feature's smoothed angle around the axis [rad]."""
     return float(values.atPoint3(feature_key(track.key))[2])
-
-
-def widen(mean: Array, covariance: Array, number: int, shift: Vec3, spread: Mat3) -> None:
-    """Move a feature to its posterior mean, and let its covariance relative to P2 be at least its spread."""
-    here, p2 = slice(10 + 3 * number, 13 + 3 * number), slice(4, 7)
-    cross = covariance[here, p2]
-    relative = covariance[here, here] + covariance[p2, p2] - cross - cross.T
-    values, vectors = np.linalg.eigh(spread - relative)
-    mean[here] += shift
-    covariance[here, here] += (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def old_part(track: Track, last: int) -> Track:
@@ -135,11 +123,11 @@ def flip(values: gtsam.Values, track: Track, q: Array) -> bool:
 
 
 def reduce(
-    solution: Solution, first: int, last: int, tracks: list[Track], heights: list[float] | None = None
+    solution: Solution, first: int, last: int, tracks: list[Track], elevations: Sequence[Elevation | None] = ()
 ) -> tuple[Array, Array]:
     """Mean and covariance of a part's outputs, by the square root of the joint of the variables behind them.
 
-    ``heights`` [m^2]: variance that elevation gives to each track's height, where more is known than the graph holds.
+    ``elevations``: of each track, where its place over all elevations is known better than the graph holds it.
     """
     values = solution.values
     indices = list(dict.fromkeys([first, last, *(t.anchor for t in tracks)]))
@@ -160,24 +148,20 @@ def reduce(
         mean[rows], J[rows, at : at + 6], by_q = cartesian_feature(poses[track.anchor], track, q)
         by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt((root[f + 2] ** 2).sum())))
         J[rows, f : f + 3] = by_q
-        if heights:
-            root = narrowed(root, f + 2, heights[n] / max(by_q[2, 2] ** 2, 1e-12))
     mean[-3:], J[-3:, n_drift : n_drift + 3] = values.atPoint3(DRIFT), np.eye(3)
     for row in [4, 5, *(10 + 3 * n + axis for n in range(len(tracks)) for axis in (0, 1))]:
         axis = (row - 4) % 3 if row < 10 else (row - 10) % 3
         mean[row] -= poses[first][axis, 3]
         J[row, base + 3 : base + 6] -= poses[first][axis, :3]
-    S = J @ root
-    return mean, S @ S.T
-
-
-def narrowed(root: Array, row: int, variance: float) -> Array:
-    """The root of a joint covariance in which one variable's variance is no more than this, as if it were measured."""
-    own = root[row]
-    square = float(own @ own)
-    if variance >= square:
-        return root
-    return np.asarray(root - np.outer(root @ own, own) * (1.0 - np.sqrt(variance / square)) / square)
+    columns, beyond = [], np.zeros((len(mean), len(mean)))
+    for n, known in enumerate(elevations):
+        if known is not None:
+            rows = slice(10 + 3 * n, 13 + 3 * n)
+            mean[rows] += known.shift
+            root, column, beyond[rows, rows] = told(root, J, n_drift + 5 + 3 * n, rows, known.spread)
+            columns.append(column)
+    S = np.column_stack((J @ root, *columns))
+    return mean, S @ S.T + beyond
 
 
 def pose_rows(T: Array) -> Array:

@@ -15,14 +15,13 @@ import numpy as np
 from fbn_common.types import NS, Array, Mat2, Mat3, Vec3
 from fbn_tracking.gating import missed_costs
 from fbn_tracking.geometry import observe
-from fbn_tracking.infants import fit, normal_equations, profile, spread, symmetric_inverse
+from fbn_tracking.infants import fit, normal_equations, spread, symmetric_inverse
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.track import Detection, Look, Mode, Ping, Track, array_pose
 
 _START = 0.6  # of the half lobe: where the search for either elevation begins
 _SAME = 0.02  # rad: closer optima are one
 _EXACT = 1e9  # s^2/m^2: information that holds the drift's slack at rest
-_REACH, _GRID = 1.8, 37  # half lobes to either side, and points, at which the elevation's posterior is taken
 _MEMORY_SLACK = 0.05**2 * np.eye(3)  # m^2: a target's own size
 
 
@@ -141,27 +140,3 @@ def remembered(track: Track, around: Surroundings) -> Mode:
     covariance = np.zeros((5, 5))
     covariance[:3, :3], covariance[3:, 3:] = track.memory.covariance + _MEMORY_SLACK, around.slack
     return Mode(np.zeros(5), track.memory.point, covariance, covariance[:3, :3], 0.0, 0.0, 0.0)
-
-
-def elevation_posterior(track: Track, theta: float, around: Surroundings) -> tuple[Vec3, Mat3]:
-    """How far the mean place is from that at ``theta`` [m], and the spread about it [m^2], over all elevations.
-
-    What is known of theta is no Gaussian: ranges tell its square, the lobe is flat, floor and surface cut it off.  So
-    it is taken at every theta of a grid, with all else at its likeliest, and the moments are those of the whole.
-    """
-    first, detections = track.detections[0], track.detections
-    R, p = around.stack(d.look for d in detections)
-    t = np.array([(d.stamp_ns - first.stamp_ns) / NS for d in detections])
-    z = widened(detections, around)
-    reach = _REACH * half_lobe(first)
-    thetas = np.concatenate(([theta], np.linspace(-reach, reach, _GRID)))
-    start = np.array([first.z[0], first.z[1], 0.0, 0.0, 0.0])
-    energies, points = profile(thetas, start, R, p, t, z, symmetric_inverse(around.slack))
-    cost = 0.5 * energies + misses_costs(track.misses, points, around) + place_costs(points, 0.0, track, around)
-    if not np.isfinite(cost).all():
-        return np.zeros(3), np.zeros((3, 3))
-    weights = np.exp(cost[1:].min() - cost[1:])
-    weights /= weights.sum()
-    mean = weights @ points[1:]
-    apart = points[1:] - mean
-    return mean - points[0], np.asarray(apart.T @ (weights[:, None] * apart))

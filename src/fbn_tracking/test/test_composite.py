@@ -13,7 +13,6 @@ from synthetic_world import World, corridor, play, simulate
 
 from fbn_common.lie import matrix_from_quaternion, rpy_from_matrix, so3_exp, so3_log
 from fbn_common.sonar import cartesian, polar
-from fbn_tracking.composite import narrowed
 from fbn_tracking.estimator import Tracking
 from fbn_tracking.geometry import elevation_shape
 from fbn_tracking.parameters import CompositeParameters, FeatureParameters, TrackingParameters
@@ -252,15 +251,3 @@ def test_covariances_are_symmetric_and_positive():
         assert np.isfinite(c.mean).all() and np.array_equal(c.covariance, c.covariance.T)
         scale = 1.0 / np.sqrt(np.diag(c.covariance))
         assert np.linalg.eigvalsh(c.covariance * np.outer(scale, scale))[0] > 0.0
-
-
-def test_narrowing_is_a_measurement_of_one_variable():
-    rng = np.random.default_rng(3)
-    root = rng.normal(size=(6, 6))
-    covariance = root @ root.T
-    wanted = 0.3 * covariance[2, 2]
-    noise = 1.0 / (1.0 / wanted - 1.0 / covariance[2, 2])  # of the measurement that leaves this variance
-    gain = covariance[:, 2] / (covariance[2, 2] + noise)
-    narrow = narrowed(root, 2, wanted)
-    np.testing.assert_allclose(narrow @ narrow.T, covariance - np.outer(gain, covariance[2]), atol=1e-12)
-    assert narrowed(root, 2, 2.0 * covariance[2, 2]) is root

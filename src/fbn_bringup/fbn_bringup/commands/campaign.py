@@ -11,8 +11,9 @@ from fbn_bringup.commands import options as o
 
 HELP = """Simulate, navigate and evaluate a scenario over many seeds, in parallel processes.
 
-A claim is over many seeds, with its spread and its worst, never one lucky run. Writes one row per seed to CSV, and
-the summary to JSON. A seed that fails is a row with its error, and the exit status is 1.
+A claim is over many seeds, with its spread and its worst, never one lucky run. Writes one row per seed to CSV, the
+summary to JSON, and how reliable the stated posteriors were as a figure (reliability.png). A seed that fails is a row
+with its error, and the exit status is 1.
 
 Each row is kept when its seed ends: the same command again goes on where it stopped, and tries failed seeds again. Rows
 of other settings, files or code are not mixed in: choose another directory, or --fresh.

@@ -35,6 +35,7 @@ class DiveResult:
     on_map_m: float | None  # median after the first match of the dive
     on_map_end_m: float | None
     matches: m.Matches
+    stated: tuple[m.Statement, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +151,7 @@ def _identities(run: Run) -> dict[int, int | None]:
 
 
 def _dive(run: Run, leg: Dive, tracks: ErrorTracks, identities: dict[int, int | None]) -> DiveResult:
-    found = m.matches(
-        leg,
+    answers = (
         run.of("global/status", r.LocalizationStatus),
         run.of("global/hypotheses", r.MatchHypotheses),
         run.of("tracking/composite", r.CompositeMeasurement),
@@ -159,6 +159,7 @@ def _dive(run: Run, leg: Dive, tracks: ErrorTracks, identities: dict[int, int | 
         run.truth,
         run.logged_ns("global/hypotheses"),
     )
+    found = m.matches(leg, *answers)
     deadreck, true = run.tracks.get("deadreck/odometry"), run.true_track
     depth_track = (true or deadreck or next(iter(run.tracks.values()))).between(leg.start_ns, leg.end_ns)
     first = leg.start_ns + round((found.after_s or 0.0) * NS)
@@ -176,6 +177,7 @@ def _dive(run: Run, leg: Dive, tracks: ErrorTracks, identities: dict[int, int | 
         float(np.median(on_map)) if len(on_map) else None,
         _last(on_map),
         found,
+        m.statements(leg, *answers),
     )
 
 

@@ -7,6 +7,7 @@ enters.  The true feature within reach is its identity; with none within reach i
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -113,6 +114,42 @@ def matches(
     declared = bool(pairs) and _declared(statuses, stamp)
     after = (first - dive.start_ns) / 1e9 if first is not None else None
     return Matches(declared, after, len(pairs), right, wrong, best.posterior)
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """A posterior that the filter stated of its best place after a composite, and whether that place was right."""
+
+    posterior: float
+    right: bool
+
+
+def statements(
+    dive: Dive,
+    statuses: Sequence[LocalizationStatus],
+    hypotheses: Sequence[MatchHypotheses],
+    composites: Sequence[CompositeMeasurement],
+    truth_of_key: dict[int, int | None],
+    truth: Truth | None,
+    answered_ns: Mapping[int, int],
+) -> tuple[Statement, ...]:
+    """One for each answer in a dive whose best account pairs features tracked in it: right if most of those pairs are.
+
+    The posterior is the next status's: of the best place, over all accounts that put the vehicle there.
+    """
+    keys = {f.key for c in composites if dive.start_ns <= c.start_ns <= dive.end_ns for f in c.features}
+    stamps = [s.stamp_ns for s in statuses]
+    found = []
+    for answer in hypotheses:
+        best = next((h for h in answer.hypotheses if h.map_ids), None)
+        at = bisect_left(stamps, answered_ns.get(answer.stamp_ns, answer.stamp_ns))
+        if best is None or not dive.contains(answer.stamp_ns) or at == len(statuses):
+            continue
+        pairs = [(m, k) for m, k in zip(best.map_ids, best.feature_keys, strict=True) if k in keys]
+        right, wrong = judge(pairs, truth_of_key, truth)
+        if right + wrong:
+            found.append(Statement(statuses[at].posterior, right > wrong))
+    return tuple(found)
 
 
 def _declared(statuses: Sequence[LocalizationStatus], answered_ns: int) -> bool:

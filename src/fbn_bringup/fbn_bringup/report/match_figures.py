@@ -22,10 +22,10 @@ from fbn_bringup.report.canvas import (
     shade_dives,
     styled,
 )
-from fbn_bringup.report.overlay import Overlay, hypothesis_lines, overlays
-from fbn_bringup.report.sweep import CELL
+from fbn_bringup.report.overlay import DiveOverlay, hypothesis_lines, overlays
 from fbn_common import records as r
 from fbn_common.graph import GRAPH
+from fbn_common.sweep import CELL
 
 STATES = {"UNMATCHED": st.MUTED, "MATCHED": st.GLOBAL.colour, "AMBIGUOUS": st.DEADRECK.colour, "LOST": st.TARGET.colour}
 
@@ -116,13 +116,13 @@ def overlay_figure(run: Run) -> go.Figure | None:
     return figure
 
 
-def _name(o: Overlay, made: list[Overlay]) -> str:
+def _name(o: DiveOverlay, made: list[DiveOverlay]) -> str:
     """A dive, and which of its hypotheses where there are several."""
     several = sum(other.dive == o.dive for other in made) > 1
     return f"dive {o.dive}" + (f": hypothesis {o.hypothesis}, {o.posterior:.2f}" if several else "")
 
 
-def _sweep_trace(o: Overlay, visible: bool) -> list[Any]:
+def _sweep_trace(o: DiveOverlay, visible: bool) -> list[Any]:
     if o.swept is None:
         return []
     rows, columns = o.swept.scans.shape
@@ -142,7 +142,7 @@ def _sweep_trace(o: Overlay, visible: bool) -> list[Any]:
     ]
 
 
-def _overlay_traces(o: Overlay, visible: bool) -> list[Any]:
+def _overlay_traces(o: DiveOverlay, visible: bool) -> list[Any]:
     lines = [end for a, b in o.pairs for end in (o.map_xy[a], o.tracked_xy[b], (GAP, GAP))]
     traces: list[Any] = [
         *_sweep_trace(o, visible),

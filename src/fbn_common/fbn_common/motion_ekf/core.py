@@ -71,13 +71,15 @@ class MotionEkf:
         self.state, self.base, self._dirty_ns = state.copy(), state.copy(), -1
         self.snapshots.stamp[:] = -1
 
-    def put_motion(self, motion: PredictedMotion) -> str:
-        """Take a motion, or its replacement; says why not where it cannot be used."""
-        known = self.motions.has(motion.stamp_ns)
-        error = self.motions.put(motion)
-        if not error and known and motion.start_ns < self.head_ns:
-            self._mark(motion.start_ns)
-        return error
+    def put_motions(self, *motions: PredictedMotion) -> list[str]:
+        """Take motions, or their replacements; for each, why it cannot be used, empty if it can."""
+        head = self.head_ns
+        known = [m.start_ns < head and self.motions.has(m.stamp_ns) for m in motions]
+        errors = self.motions.put(*motions)
+        for motion, again, error in zip(motions, known, errors, strict=True):
+            if again and not error:
+                self._mark(motion.start_ns)
+        return errors
 
     def put_event(self, stamp_ns: int, rank: int, kind: Kind, sensor: int, data: Array) -> int:
         """Take a measurement; its slot, or -1 where there is no room."""
@@ -118,19 +120,20 @@ class MotionEkf:
         )[1:]
         return State(t, x, p, sensors)
 
-    def snapshot(self, stamp_ns: int) -> State | None:
-        """The state at a multiple of SNAPSHOT_NS, if it is in the ring (not a copy)."""
+    def snapshot_row(self, stamp_ns: int) -> int:
+        """The ring's row of a multiple of SNAPSHOT_NS; -1 if that is not in the ring."""
         k = (stamp_ns // SNAPSHOT_NS) % len(self.snapshots.stamp)
-        if self.snapshots.stamp[k] != stamp_ns or stamp_ns > self.head_ns:
-            return None
-        return State(stamp_ns, self.snapshots.x[k], self.snapshots.covariance[k], self.snapshots.sensors[k])
+        return k if self.snapshots.stamp[k] == stamp_ns <= self.head_ns else -1
 
     def _restored(self, stamp_ns: int) -> State:
         """A copy of the newest state kept that has in it nothing later than the stamp."""
         if stamp_ns >= self.head_ns:
             return self.state.copy()
-        kept = self.snapshot(stamp_ns // SNAPSHOT_NS * SNAPSHOT_NS)
-        return (kept if kept is not None and kept.stamp_ns >= self.base.stamp_ns else self.base).copy()
+        stamp = stamp_ns // SNAPSHOT_NS * SNAPSHOT_NS
+        k, kept = self.snapshot_row(stamp), self.snapshots
+        if k < 0 or stamp < self.base.stamp_ns:
+            return self.base.copy()
+        return State(stamp, kept.x[k], kept.covariance[k], kept.sensors[k]).copy()
 
     def _run(self, state: State, target_ns: int, keep: bool) -> State:
         t, x, p, sensors = state

@@ -149,8 +149,10 @@ class MotionFilter:
             self._restart()
             self.resets += 1
         self._now_ns = now_ns
+        out += self._take_motions([record for _, record in inbox if isinstance(record, PredictedMotion)])
         for topic, record in inbox:
-            out += self._admit(topic, record, now_ns)
+            if not isinstance(record, PredictedMotion):
+                out += self._admit(topic, record, now_ns)
         if self.ekf.head_ns < 0:
             out += self._try_start(now_ns)
         if self.ekf.head_ns >= 0:
@@ -200,8 +202,6 @@ class MotionFilter:
         }  # fmt: skip
 
     def _admit(self, topic: str, record: Record, now_ns: int) -> list[Output]:
-        if isinstance(record, PredictedMotion):
-            return self._take_motion(record, now_ns)
         if isinstance(record, VehicleParameters):
             return self._take_parameters(record)
         intake = self.intakes.get(topic)
@@ -242,11 +242,13 @@ class MotionFilter:
             self._first.setdefault(intake.kind, []).append(record)
         return []
 
-    def _take_motion(self, motion: PredictedMotion, now_ns: int) -> list[Output]:
-        error = self.ekf.put_motion(motion)
-        if motion.stamp_ns < self.ekf.head_ns - self.ekf.history_ns:
-            error = "older than the history"
-        return [self._say(motion.stamp_ns, "predict", Verdict.REFUSED, error)] if error else []
+    def _take_motions(self, motions: list[PredictedMotion]) -> list[Output]:
+        oldest, out = self.ekf.head_ns - self.ekf.history_ns, []
+        for motion, error in zip(motions, self.ekf.put_motions(*motions), strict=True):
+            why = "older than the history" if motion.stamp_ns < oldest else error
+            if why:
+                out.append(self._say(motion.stamp_ns, "predict", Verdict.REFUSED, why))
+        return out
 
     def _take_parameters(self, record: VehicleParameters) -> list[Output]:
         if not usable_parameters(record):
@@ -364,9 +366,8 @@ class MotionFilter:
     def _answers(self) -> list[Output]:
         """One innovation for each measurement that was processed for the first time."""
         out = []
-        stamps = self.ekf.events.rows.stamp
-        done = [slot for slot in self._pending if stamps[slot] <= self.ekf.head_ns]
-        for slot in sorted(done, key=lambda s: (int(stamps[s]), s)):
+        stamp, head = self.ekf.events.rows.stamp.item, self.ekf.head_ns
+        for _, slot in sorted((stamp(slot), slot) for slot in self._pending if stamp(slot) <= head):
             answer = self._pending.pop(slot).answer(self.ekf.events.rows, slot, self.frame_id)
             out.append(Output(f"{self.name}/innovations", answer))
         return out
@@ -380,20 +381,18 @@ class MotionFilter:
 
     def _odometry(self) -> list[Output]:
         """Odometry at each multiple of SNAPSHOT_NS that the head has passed since the last one."""
-        head = self.ekf.head_ns
-        stamp = self._odometry_ns + SNAPSHOT_NS
+        first = self._odometry_ns + SNAPSHOT_NS
         if self._odometry_ns < 0:
-            stamp = -(-self.ekf.base.stamp_ns // SNAPSHOT_NS) * SNAPSHOT_NS
-        out = []
-        while stamp <= head:
-            state = self.ekf.snapshot(stamp)
-            if state is not None and self.publishes(state):
-                out.append(Output(f"{self.name}/odometry", odometry(state, self.frame_id)))
-            self._odometry_ns = stamp
-            stamp += SNAPSHOT_NS
-        return out
+            first = -(-self.ekf.base.stamp_ns // SNAPSHOT_NS) * SNAPSHOT_NS
+        stamps = range(first, self.ekf.head_ns + 1, SNAPSHOT_NS)
+        if not stamps:
+            return []
+        self._odometry_ns = stamps[-1]
+        rows = [row for stamp in stamps if (row := self.ekf.snapshot_row(stamp)) >= 0] if self.publishes() else []
+        topic = f"{self.name}/odometry"
+        return [Output(topic, record) for record in odometry(self.ekf.snapshots, rows, self.frame_id)]
 
-    def publishes(self, state: State) -> bool:
+    def publishes(self) -> bool:
         """Whether there is odometry to publish at all."""
         return True
 

@@ -12,7 +12,10 @@ from fbn_common.motion_ekf.parameters import SensorParameters
 from fbn_common.records import Innovation, Verdict
 from fbn_common.types import Array
 
-_REASONS = {
+_VERDICTS = tuple(Verdict)  # by value
+_NAMES = tuple(v.name for v in _VERDICTS)
+_RESET = int(Reason.RESET)
+_REASONS: dict[int, str] = {
     Reason.NONE: "",
     Reason.GATE: "outside the gate",
     Reason.RULE: "no better than the filter's own position",
@@ -52,12 +55,11 @@ class Intake:
 
     def answer(self, events: Events, slot: int, frame_id: str) -> Innovation:
         """What became of the measurement in this slot; counts it."""
-        n, reason = int(events.dof[slot]), Reason(int(events.reason[slot]))
-        verdict = Verdict(int(events.verdict[slot]))
-        self.watch.verdicts[verdict.name] += 1
-        if reason is Reason.RESET:
+        n, reason, verdict = events.dof.item(slot), events.reason.item(slot), events.verdict.item(slot)
+        self.watch.verdicts[_NAMES[verdict]] += 1
+        if reason == _RESET:
             self.watch.verdicts["RESET"] += 1
         return Innovation(
-            int(events.stamp[slot]), frame_id, self.sensor, float(events.nis[slot]), n, verdict, _REASONS[reason],
-            events.innovation[slot, :n].copy(), events.sigma[slot, :n].copy(),
+            events.stamp.item(slot), frame_id, self.sensor, events.nis.item(slot), n, _VERDICTS[verdict],
+            _REASONS[reason], events.innovation[slot, :n].copy(), events.sigma[slot, :n].copy(),
         )  # fmt: skip

@@ -82,7 +82,13 @@ def content_of(*values: object) -> bytes:
 
 def all_finite(*values: float | Array) -> bool:
     """Whether every number in these floats and arrays is finite."""
-    return all(isfinite(v) if isinstance(v, float | int) else bool(np.isfinite(v).all()) for v in values)
+    return all(map(_finite, values))
+
+
+def _finite(value: float | Array) -> bool:
+    if isinstance(value, np.ndarray):  # the sum of squares may overflow where every number is finite
+        return isfinite(np.vdot(value, value)) or bool(np.isfinite(value).all())
+    return isfinite(value)
 
 
 def health_of(

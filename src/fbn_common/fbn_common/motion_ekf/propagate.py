@@ -161,15 +161,13 @@ def _surface(x: Array, f: Array, share: float, config: Config) -> tuple[bool, Ar
 def _push(p: Array, f: Array, near: bool, g: Array) -> None:
     """P <- F P F' for F = [I + f, and g where near the surface, on the first 12 rows; I], in place."""
     n = p.shape[0]
-    top = np.empty((12, n))
+    top, f_t, own = np.empty((12, n)), np.empty((24, 12)), np.empty(12)
     for i in range(12):
         for j in range(n):
             top[i, j] = p[i, j]
         for c in range(24):
-            a = f[i, c]
-            if a != 0.0:
-                for j in range(n):
-                    top[i, j] += a * p[ROTATION + c, j]
+            f_t[c, i] = f[i, c]
+        _add_rows(f[i], p, ROTATION, top[i])
         if near:
             for c in range(3):
                 for j in range(n):
@@ -178,15 +176,24 @@ def _push(p: Array, f: Array, near: bool, g: Array) -> None:
         for j in range(12, n):
             p[i, j] = top[i, j]
             p[j, i] = top[i, j]
+        for j in range(12):
+            own[j] = top[i, j]
+        _add_rows(top[i, ROTATION : ROTATION + 24], f_t, 0, own)
         for j in range(i + 1):
-            total = top[i, j]
-            for c in range(24):
-                total += top[i, ROTATION + c] * f[j, c]
             if near:
                 for c in range(3):
-                    total += top[i, LAYER + c] * g[j, c]
-            p[i, j] = total
-            p[j, i] = total
+                    own[j] += top[i, LAYER + c] * g[j, c]
+            p[i, j] = own[j]
+            p[j, i] = own[j]
+
+
+@kernel
+def _add_rows(a: Array, rows: Array, first: int, out: Array) -> None:
+    """``out += a rows[first : first + 24]``; four rows a round, as each round reads and writes ``out``."""
+    for c in range(0, 24, 4):
+        k, a0, a1, a2, a3 = first + c, a[c], a[c + 1], a[c + 2], a[c + 3]
+        for j in range(out.shape[0]):
+            out[j] = out[j] + a0 * rows[k, j] + a1 * rows[k + 1, j] + a2 * rows[k + 2, j] + a3 * rows[k + 3, j]
 
 
 @kernel
@@ -230,14 +237,17 @@ def _age(x: Array, p: Array, dt: float, config: Config) -> None:
         if p[ACTUATION + i, ACTUATION + i] < config.limit[i]:
             own = config.water_share * square if i == 12 or i == 13 else 0.0
             p[ACTUATION + i, ACTUATION + i] += (config.walk[i] + own) * dt
-    for b in range(OWN, p.shape[0]):
-        keep = np.exp(-dt / config.tau[b - OWN])
-        if b < OWN + X_SIZE - X_DEVIATION:
-            x[X_DEVIATION + b - OWN] *= keep
-        for j in range(p.shape[0]):
-            p[b, j] *= keep
-            p[j, b] *= keep
-        p[b, b] += (1.0 - keep * keep) * config.variance[b - OWN]
+    n = p.shape[0]
+    keep = np.ones(n)
+    for b in range(OWN, n):
+        keep[b] = np.exp(-dt / config.tau[b - OWN])
+    for i in range(X_SIZE - X_DEVIATION):
+        x[X_DEVIATION + i] *= keep[OWN + i]
+    for i in range(n):
+        for j in range(OWN if i < OWN else 0, n):
+            p[i, j] = p[i, j] * keep[min(i, j)] * keep[max(i, j)]
+    for b in range(OWN, n):
+        p[b, b] += (1.0 - keep[b] * keep[b]) * config.variance[b - OWN]
 
 
 @kernel

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from math import isfinite, isnan, sqrt
+
 import numpy as np
 
 from fbn_common.lie import matrix_from_quaternion
@@ -40,8 +43,8 @@ def compass_rotation(imu: Imu) -> Mat3:
     """R_world_base (3, 3) of a compass's record; raises Unusable."""
     if imu.orientation_covariance[0, 0] == -1.0:
         raise Unusable("orientation absent (covariance -1)")
-    norm = float(np.sqrt(imu.orientation @ imu.orientation))
-    if not np.isfinite(norm):
+    norm = sqrt(imu.orientation @ imu.orientation)
+    if not isfinite(norm):
         raise Unusable("orientation is not finite")
     if abs(norm - 1.0) > 0.01:
         raise Unusable(f"quaternion's norm is {norm:.4g}, not 1")
@@ -50,10 +53,16 @@ def compass_rotation(imu: Imu) -> Mat3:
 
 def compass_data(imu: Imu, parameters: CompassParameters) -> Array:
     """Data (18,) of a compass measurement: rotation 9, covariance of its white part 9 (fixed axes)."""
-    rotation = compass_rotation(imu)
-    stated = usable_covariance(imu.orientation_covariance, parameters.sigma_unknown, 1e-6)
-    white = usable_covariance(stated * parameters.white, 1.0, parameters.sigma_min)
-    return np.concatenate((rotation.ravel(), white.ravel()))
+    rotation, p = compass_rotation(imu), parameters
+    white = _white_part(imu.orientation_covariance.tobytes(), p.white, p.sigma_unknown, p.sigma_min)
+    return np.concatenate((rotation.ravel(), white))
+
+
+@lru_cache(maxsize=64)
+def _white_part(covariance: bytes, share: float, sigma_unknown: float, sigma_min: float) -> Array:
+    """White part (9,) of a stated covariance; most compasses state the same every time.  Raises Unusable."""
+    stated = usable_covariance(np.frombuffer(covariance).reshape(3, 3), sigma_unknown, 1e-6)
+    return usable_covariance(stated * share, 1.0, sigma_min).ravel()
 
 
 def depth_data(pressure: FluidPressure, parameters: DepthParameters) -> Array:
@@ -64,13 +73,13 @@ def depth_data(pressure: FluidPressure, parameters: DepthParameters) -> Array:
     depth = (pressure.fluid_pressure - parameters.surface_pressure) / per_metre
     if not -2.0 <= depth <= parameters.max_depth:
         raise Unusable(f"depth of {depth:.1f} m is outside -2 to {parameters.max_depth} m")
-    sigma = np.sqrt(pressure.variance * parameters.white) / per_metre if pressure.variance > 0.0 else parameters.sigma
-    return np.array([-depth, max(float(sigma), parameters.sigma_min) ** 2])
+    sigma = sqrt(pressure.variance * parameters.white) / per_metre if pressure.variance > 0.0 else parameters.sigma
+    return np.array([-depth, max(sigma, parameters.sigma_min) ** 2])
 
 
 def altitude_data(altitude: Range, parameters: AltimeterParameters) -> Array | None:
     """Data (5,) of an altitude; None where there is no bottom in range."""
-    if not all_finite(altitude.min_range, altitude.max_range) or np.isnan(altitude.range):
+    if not all_finite(altitude.min_range, altitude.max_range) or isnan(altitude.range):
         raise Unusable("range or its limits are not a number")
     if altitude.range == 0.0 or not altitude.min_range <= altitude.range <= altitude.max_range:
         return None

@@ -3,45 +3,62 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from operator import attrgetter
 
 import numpy as np
+import numpy.typing as npt
 
 from fbn_common.kernels import kernel
 from fbn_common.lie import matrix_from_quaternion
-from fbn_common.motion_ekf.layout import DATA_SIZE, GRID_NS, OUT_SIZE, Events, Kind, Motions
+from fbn_common.motion_ekf.layout import DATA_SIZE, GRID_NS, OUT_SIZE, Events, IntArray, Kind, Motions
 from fbn_common.records import PredictedMotion
 from fbn_common.types import Array
 
+BoolArray = npt.NDArray[np.bool_]
 MOTIONS = 2048  # 20 s
 EVENTS = 4096
 
 
+_parts = attrgetter(
+    "increment", "rotation", "velocity_start", "velocity_end", "parameters", "jacobian_velocity", "jacobian_attitude",
+    "jacobian_parameters", "noise", "attitude_start",
+)  # fmt: skip
+_WIDTH = 469  # numbers in them
+
+
 @kernel
-def _pack(
-    rows: Motions, k: int, increment: Array, rotation: Array, start: Array, end: Array, parameters: Array,
-    by_velocity: Array, by_attitude: Array, by_parameters: Array, noise: Array, attitude: Array,
-) -> bool:  # fmt: skip
-    """Copy a motion into row ``k``; False, and nothing copied, where a number is not finite."""
-    total = increment.sum() + rotation.sum() + start.sum() + end.sum() + parameters.sum() + attitude.sum()
-    total += by_velocity.sum() + by_attitude.sum() + by_parameters.sum() + noise.sum()
-    if not np.isfinite(total):
-        return False
-    mean, jacobian = rows.mean[k], rows.jacobian[k]
-    mean[0:3], mean[3:6], mean[6:12], mean[12:18] = increment, rotation, start, end
-    for i in range(12):
-        for j in range(3):
-            jacobian[i, j] = by_attitude[i, j]
-        for j in range(6):
-            jacobian[i, 3 + j] = by_velocity[i, j]
-        for j in range(15):
-            jacobian[i, 9 + j] = by_parameters[i, j]
-        for j in range(12):
-            rows.noise[k, i, j] = noise[i, j]
-    used = matrix_from_quaternion(attitude)
-    for i in range(9):
-        rows.attitude[k, i] = used[i // 3, i % 3]
-    rows.parameters[k] = parameters
-    return True
+def _file(rows: Motions, stamps: IntArray, flat: Array) -> BoolArray:
+    """Copy motions, their parts one after the other in ``flat`` (n, 469), into their rows; whether they are finite.
+
+    Nothing is copied of one that is not.
+    """
+    finite = np.zeros(stamps.shape[0], np.bool_)
+    for i in range(stamps.shape[0]):
+        k = (stamps[i] // GRID_NS) % rows.stamp.shape[0]
+        one = flat[i]
+        finite[i] = np.isfinite(one.sum())
+        if not finite[i]:
+            continue
+        rows.mean[k], rows.parameters[k] = one[0:18], one[18:33]
+        jacobian = rows.jacobian[k]
+        for r in range(12):
+            for j in range(6):
+                jacobian[r, 3 + j] = one[33 + 6 * r + j]
+            for j in range(3):
+                jacobian[r, j] = one[105 + 3 * r + j]
+            for j in range(15):
+                jacobian[r, 9 + j] = one[141 + 15 * r + j]
+        rows.noise[k] = one[321:465].reshape(12, 12)
+        rows.attitude[k] = matrix_from_quaternion(one[465:469]).ravel()
+        rows.stamp[k] = stamps[i]
+    return finite
+
+
+def _off_the_grid(m: PredictedMotion) -> str:
+    """Why a motion is not one step of the grid; empty if it is."""
+    if m.stamp_ns % GRID_NS or m.stamp_ns - m.start_ns != GRID_NS:
+        return f"not one step of the {GRID_NS} ns grid: {m.start_ns} to {m.stamp_ns}"
+    return ""
 
 
 class MotionLog:
@@ -59,20 +76,20 @@ class MotionLog:
         self.first_ns = -1  # start of the oldest motion ever taken
         self.newest_ns = -1
 
-    def put(self, m: PredictedMotion) -> str:
-        """Take a motion; says why not where it cannot be used."""
-        if m.stamp_ns % GRID_NS != 0 or m.stamp_ns - m.start_ns != GRID_NS:
-            return f"not one step of the {GRID_NS} ns grid: {m.start_ns} to {m.stamp_ns}"
-        k = (m.stamp_ns // GRID_NS) % MOTIONS
-        if not _pack(
-            self.rows, k, m.increment, m.rotation, m.velocity_start, m.velocity_end, m.parameters,
-            m.jacobian_velocity, m.jacobian_attitude, m.jacobian_parameters, m.noise, m.attitude_start,
-        ):  # fmt: skip
-            return "not finite"
-        self.rows.stamp[k] = m.stamp_ns
-        self.first_ns = m.start_ns if self.first_ns < 0 else min(self.first_ns, m.start_ns)
-        self.newest_ns = max(self.newest_ns, m.stamp_ns)
-        return ""
+    def put(self, *motions: PredictedMotion) -> list[str]:
+        """Take motions, or their replacements; for each, why it cannot be used, empty if it can."""
+        errors = [_off_the_grid(m) for m in motions]
+        taken = [i for i, error in enumerate(errors) if not error]
+        flat = np.frombuffer(b"".join([part for i in taken for part in _parts(motions[i])])).reshape(-1, _WIDTH)
+        stamps = np.array([motions[i].stamp_ns for i in taken], np.int64)
+        for i, finite in zip(taken, _file(self.rows, stamps, flat).tolist(), strict=True):
+            if finite:
+                start, end = motions[i].start_ns, motions[i].stamp_ns
+                self.first_ns = start if self.first_ns < 0 else min(self.first_ns, start)
+                self.newest_ns = max(self.newest_ns, end)
+            else:
+                errors[i] = "not finite"
+        return errors
 
     def has(self, stamp_ns: int) -> bool:
         """Whether the motion that ends at this grid stamp is here."""

@@ -31,8 +31,7 @@ def warm_up(config: Config, size: int, rows: int) -> None:
     compass = np.concatenate((np.eye(3).ravel(), 0.01 * np.eye(3).ravel()))
     own = config.variance[: size - OWN]
     ekf.start(first_state(0, compass, np.array([0.0, 0.01]), prior, np.zeros(6), 1.0, own, rows))
-    for i in range(6):
-        ekf.put_motion(standstill(i * GRID_NS))
+    ekf.put_motions(*(standstill(i * GRID_NS) for i in range(6)))
     last = Kind.RANGE if size > SIZE_DEADRECK else Kind.CLIMB
     data = [compass, np.array([0.0, 0.01]), np.array([5.0, 0.01, 0.1, 0.0, 0.5]), np.array([0.0, 0.0, 1.0, 0.0, 1.0]),
             np.array([5.0, 0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0])]  # fmt: skip
@@ -41,4 +40,4 @@ def warm_up(config: Config, size: int, rows: int) -> None:
             ekf.put_event(GRID_NS // 2, int(kind), kind, min(int(kind), rows - 1), data[kind])
     ekf.advance(6 * GRID_NS)
     ekf.open_loop(ekf.state_at(GRID_NS), 2 * GRID_NS)
-    odometry(ekf.state, "")
+    odometry(ekf.snapshots, [0], "")
