@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import log
+from math import exp, log
 
 import numpy as np
 
@@ -129,4 +129,4 @@ def slack(window: Window, drift_covariance: Mat3) -> Mat2:
 def view_weight(z: Array, look: Look) -> float:
     """How well a look should see what it predicts at r, phi, u: ``exp(-u^2 / 2)`` in its field of view, else 0."""
     low, high, left, right = look.limits[:4]
-    return float(np.exp(-0.5 * z[2] ** 2)) if low <= z[0] <= high and left <= z[1] <= right else 0.0
+    return exp(-0.5 * float(z[2]) ** 2) if low <= z[0] <= high and left <= z[1] <= right else 0.0

@@ -6,7 +6,8 @@ import numpy as np
 
 from fbn_common.records import Stage, TrackedFeature, TrackedFeatures
 from fbn_common.types import Array, Mat4
-from fbn_tracking.composite import cartesian_feature, elevation_scale
+from fbn_tracking.composite import cartesian_feature
+from fbn_tracking.gating import anchored_place
 from fbn_tracking.matching import Joint, feature_key, pose_key
 from fbn_tracking.nursery import Nursery
 from fbn_tracking.track import Track, pose_matrix
@@ -48,12 +49,11 @@ def _infant(track: Track, move: Mat4) -> TrackedFeature:
 
 def _feature(window: Window, track: Track, joint: Joint | None, move: Mat4) -> TrackedFeature:
     ka, kf = pose_key(track.anchor), feature_key(track.key)
-    q = window.estimate.q(track.key)
-    point, by_anchor, by_q = cartesian_feature(window.T(track.anchor), track, q)
-    covariance = track.modes[0].covariance[:3, :3] if track.modes else np.eye(3)
+    T_anchor, q, first = window.T(track.anchor), window.estimate.q(track.key), track.detections[0]
     if joint is not None and ka in joint.offset and kf in joint.offset:
-        P = joint.block([ka, kf], [6, 3])
-        by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt(P[8, 8])))
-        J = np.hstack((by_anchor, by_q))
-        covariance = J @ P @ J.T
+        at, a, c = joint.offset, first.z[4], first.z[5]
+        point, covariance = anchored_place(T_anchor, first.look.mount, q, joint.covariance, at[ka], at[kf], a, c)
+    else:
+        point, _, _ = cartesian_feature(T_anchor, track, q)
+        covariance = track.modes[0].covariance[:3, :3] if track.modes else np.eye(3)
     return _record(track, Stage.RETIRED if track.retired else Stage.FEATURE, point, covariance, move)

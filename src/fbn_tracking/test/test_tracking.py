@@ -268,7 +268,7 @@ def test_the_sonar_may_be_switched_off_and_on():
 
 
 def test_a_featureless_hour_throws_nothing_and_keeps_its_size():
-    run = simulate(World(np.zeros((0, 3))), 1200, 1014)
+    run = simulate(World(np.zeros((0, 3)), period=3.0), 1200, 1014)
     tracker = Tracking()
     composites = _composites(play(tracker, run))
     assert tracker.health().values.get("smoother_failures", 0) == 0
