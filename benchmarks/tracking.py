@@ -252,7 +252,7 @@ def draw(rounds: list[Round], target: Path) -> None:
     below.set_ylabel("memory [MB]")
     below.set_xlabel("hours of pings at 2 Hz")
     for axis in (above, below):
-        axis.set_ylim(bottom=0.0)
+        axis.set_ylim(0.0, 1.15 * axis.get_ylim()[1])
         axis.grid(alpha=0.3)
     figure.tight_layout()
     figure.savefig(target, dpi=120)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import log, pi
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,8 +29,7 @@ def feature_key(key: int) -> Key:
     return ("feature", key)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
+class Prediction(NamedTuple):
     """What a look should measure of one track (at one of its elevations): r, phi, u and their covariance."""
 
     track: Track
@@ -113,6 +113,17 @@ def predict_infants(window: Window, tracks: list[Track], look: Look) -> list[Pre
     covariance = np.array([m.covariance for _, m in pairs])
     z, S = predict_points(points, slack, covariance, t, extra, R, p, look.limits[4], look.limits[5])
     return [Prediction(track, z[i], S[i]) for i, (track, _) in enumerate(pairs)]
+
+
+def view_weights(predictions: list[Prediction], look: Look) -> list[float]:
+    """How well a look should see what it predicts at r, phi, u: ``exp(-u^2 / 2)`` in its field of view, else 0."""
+    if not predictions:
+        return []
+    r, phi, u = np.array([p.z for p in predictions]).T
+    low, high, left, right = look.limits[:4]
+    inside = (low <= r) & (r <= high) & (left <= phi) & (phi <= right)
+    weights: list[float] = np.where(inside, np.exp(-0.5 * u**2), 0.0).tolist()
+    return weights
 
 
 def reference(window: Window, track: Track) -> int:
