@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fbn_common.kernels import kernel
 from fbn_common.types import Array, Mat3, Vec3
@@ -80,7 +81,7 @@ def anchored_place(
 
 
 @kernel
-def propagated(J: Array, joint: Array, at: Array) -> Mat3:
+def propagated(J: Array, joint: Array, at: NDArray[np.int64]) -> Mat3:
     """``J P J^T`` (3, 3), ``P`` being these rows and columns of ``joint``."""
     half, out = np.zeros((3, len(at))), np.zeros((3, 3))
     for i in range(3):

@@ -179,7 +179,8 @@ def inverse_root(covariance: Array) -> Array:
     try:
         W, _ = dtrtri(np.linalg.cholesky(covariance), lower=1)
     except np.linalg.LinAlgError:
-        return whitener(inverse(covariance))
+        values, vectors = np.linalg.eigh(covariance)
+        return np.ascontiguousarray((vectors / np.sqrt(np.where(values > 0.0, values, np.inf))).T)
     return np.ascontiguousarray(W)
 
 
