@@ -1,7 +1,7 @@
 """The tracker's time: per ping and cut, its smoother beside gtsam's IncrementalFixedLagSmoother; flat over hours.
 
 tools/run python benchmarks/tracking.py
-tools/run python benchmarks/tracking.py --hours 3
+tools/run python benchmarks/tracking.py --hours 3 --figure hours.png
 
 How well it finds what is there: ``python -m fbn_testing.feature_study``.
 """
@@ -17,7 +17,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -194,22 +195,79 @@ def _records(step: Step) -> list[PingMotion | SonarDetections]:
     return [record for _, _, record in step.logged]
 
 
-def flat(hours: float) -> None:
+class Round(NamedTuple):
+    """One mission of many without a restart."""
+
+    hours: float  # of the tracker's time, at its end
+    ping: tuple[float, float, float]  # ms: median, 95 %, worst
+    memory: float  # MB, resident
+
+
+def flat(hours: float, target: Path | None) -> None:
     """Time and memory, mission after mission without a restart."""
-    for number, times in enumerate(timed(hear("depth_of_features", 1000, {"sensors.sonar.timing.rate": 2.0}), hours)):
-        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-        median, high = 1e3 * np.quantile(times.ping, [0.5, 0.95])
-        console.print(f"mission {number + 1:3d}: ping {median:.2f} ms, 95 % {high:.2f} ms, most memory {memory:.0f} MB")
+    heard = hear("depth_of_features", 1000, {"sensors.sonar.timing.rate": 2.0})
+    span = (heard.steps[-1].end_ns - heard.steps[0].end_ns) / NS / 3600.0
+    gc.collect()
+    gc.freeze()
+    rounds = []
+    for number, times in enumerate(timed(heard, hours)):
+        low, high, worst = (1e3 * float(q) for q in np.quantile(times.ping, [0.5, 0.95, 1.0]))
+        rounds.append(Round((number + 1) * span, (low, high, worst), resident()))
+    console.print(hour_table(rounds))
+    if target:
+        draw(rounds, target)
+
+
+def resident() -> float:
+    """Memory of this process now [MB]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def hour_table(rounds: list[Round]) -> Table:
+    """One row for the rounds of each half hour."""
+    title = "Pings and memory over hours without a restart [ms of CPU time, MB]"
+    made = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    for column in ("hours", "rounds", "median", "95 %", "worst", "memory"):
+        made.add_column(column, justify="right")
+    for half in sorted({int(2.0 * r.hours) for r in rounds}):
+        some = [r for r in rounds if int(2.0 * r.hours) == half]
+        low, high, worst = np.array([r.ping for r in some]).T
+        cells = (f"{np.median(low):.2f}", f"{np.median(high):.2f}", f"{worst.max():.1f}", f"{some[-1].memory:.0f}")
+        made.add_row(f"{0.5 * half:.1f} to {0.5 * half + 0.5:.1f}", str(len(some)), *cells)
+    return made
+
+
+def draw(rounds: list[Round], target: Path) -> None:
+    """Milliseconds a ping, and memory, over hours."""
+    from matplotlib import pyplot
+
+    figure, (above, below) = pyplot.subplots(2, 1, figsize=(8, 4.6), sharex=True)
+    hours = [r.hours for r in rounds]
+    for n, (label, color) in enumerate((("median", "#1f5fa8"), ("95 %", "#b03a2e"))):
+        above.plot(hours, [r.ping[n] for r in rounds], "o-", ms=3, color=color, label=label)
+    above.set_ylabel("a ping [ms of CPU]")
+    above.legend(fontsize=8)
+    below.plot(hours, [r.memory for r in rounds], "o-", ms=3, color="#404040")
+    below.set_ylabel("memory [MB]")
+    below.set_xlabel("hours of pings at 2 Hz")
+    for axis in (above, below):
+        axis.set_ylim(0.0, 1.15 * axis.get_ylim()[1])
+        axis.grid(alpha=0.3)
+    figure.tight_layout()
+    figure.savefig(target, dpi=120)
+    pyplot.close(figure)
 
 
 def main() -> int:
     """Print the tables, or the hours."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=0.0, help="run so long without a restart instead")
+    parser.add_argument("--figure", type=Path, help="PNG of the hours")
     given = parser.parse_args()
     loop = calibration()
     if given.hours:
-        flat(given.hours)
+        flat(given.hours, given.figure)
     else:
         console.print(speed(2.0, 1), "", speed(4.0, 2), "")
     console.print(f"[dim]a fixed Python loop took {loop * 1e3:.0f} ms before and {calibration() * 1e3:.0f} ms after")

@@ -159,7 +159,7 @@ def cartesian_feature(T: Array, track: Track, q: Array) -> tuple[Array, Array, A
     point, by_q = cartesian_jacobian(q)
     R = np.ascontiguousarray(T[:3, :3])
     y = mount[:3, 3] + mount[:3, :3] @ point
-    return T[:3, 3] + R @ y, np.hstack((-cross_matrix(y, R), R)), R @ mount[:3, :3] @ by_q
+    return T[:3, 3] + R @ y, np.concatenate((-cross_matrix(y, R), R), axis=1), R @ mount[:3, :3] @ by_q
 
 
 def elevation_scale(track: Track, theta: float, sigma_theta: float) -> float:

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fbn_common.kernels import kernel
 from fbn_common.types import Array, Mat3, Vec3
-from fbn_tracking.geometry import observe, u_from_theta
+from fbn_tracking.geometry import (
+    anchored_observation,
+    carried,
+    cartesian_jacobian,
+    cross_matrix,
+    finite_slope,
+    observe,
+    times,
+    u_from_theta,
+)
 from fbn_tracking.infants import cholesky_solve
 
 
@@ -34,6 +44,54 @@ def predict_points(
         S[i, 0, 0] += extra[i, 0]
         S[i, 1, 1] += extra[i, 1] + extra[i, 0] / s[0] ** 2
     return z, S
+
+
+@kernel
+def predict_anchored(
+    T_anchor: Array, T_pose: Array, mount_anchor: Array, mount: Array, q: Vec3,
+    joint: Array, anchor: int, pose: int, feature: int, a: float, c: float,
+) -> tuple[Vec3, Mat3]:  # fmt: skip
+    """What a look should measure of an anchored feature: r, phi, u, and their covariance (3, 3).
+
+    ``joint`` (n, n): covariance that holds anchor and pose (6 each, may be the same) and feature (3) at these offsets.
+    """
+    z, by_anchor, by_pose, by_q = anchored_observation(T_anchor, T_pose, mount_anchor, mount, q)
+    H, at = np.empty((3, 15)), np.empty(15, np.int64)
+    H[:, :6], H[:, 6:12], H[:, 12:] = by_anchor, by_pose, by_q
+    H[2] *= a + 3.0 * c * z[2] ** 2
+    at[:6], at[6:12], at[12:] = anchor + np.arange(6), pose + np.arange(6), feature + np.arange(3)
+    z[2] = u_from_theta(z[2], a, c)
+    return z, propagated(H, joint, at)
+
+
+@kernel
+def anchored_place(
+    T_anchor: Array, mount: Array, q: Vec3, joint: Array, anchor: int, feature: int, a: float, c: float
+) -> tuple[Vec3, Mat3]:
+    """World point of an anchored feature and its covariance; theta's slope by u over one standard deviation of u."""
+    point, by_q = cartesian_jacobian(q)
+    y, R = carried(mount, point), T_anchor[:3, :3].copy()
+    sigma = np.sqrt(joint[feature + 2, feature + 2])
+    sigma_u = (a + 3.0 * c * q[2] ** 2) * sigma
+    J, at = np.empty((3, 9)), np.empty(9, np.int64)
+    J[:, :3], J[:, 3:6], J[:, 6:] = -cross_matrix(y, R), R, times(times(R, mount), by_q)
+    J[:, 8] *= finite_slope(q[2], sigma_u, a, c) * min(sigma_u, 1.0) / max(sigma, 1e-9)
+    at[:6], at[6:] = anchor + np.arange(6), feature + np.arange(3)
+    return carried(T_anchor, y), propagated(J, joint, at)
+
+
+@kernel
+def propagated(J: Array, joint: Array, at: NDArray[np.int64]) -> Mat3:
+    """``J P J^T`` (3, 3), ``P`` being these rows and columns of ``joint``."""
+    half, out = np.zeros((3, len(at))), np.zeros((3, 3))
+    for i in range(3):
+        for k in range(len(at)):
+            for j in range(len(at)):
+                half[i, j] += J[i, k] * joint[at[k], at[j]]
+        for j in range(3):
+            for k in range(len(at)):
+                out[i, j] += half[i, k] * J[j, k]
+    return out
 
 
 @kernel

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import log, pi
+from typing import NamedTuple
 
 import numpy as np
 
 from fbn_common.types import NS, Array
 from fbn_tracking.assignment import assign
-from fbn_tracking.gating import pair_costs, predict_points
-from fbn_tracking.geometry import anchored_observation, u_from_theta
+from fbn_tracking.gating import pair_costs, predict_anchored, predict_points
 from fbn_tracking.modes import heading_bound
 from fbn_tracking.track import Detection, Look, Track, array_pose
 from fbn_tracking.window import Window
@@ -29,8 +29,7 @@ def feature_key(key: int) -> Key:
     return ("feature", key)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
+class Prediction(NamedTuple):
     """What a look should measure of one track (at one of its elevations): r, phi, u and their covariance."""
 
     track: Track
@@ -84,22 +83,19 @@ class Joint:
 
     def block(self, keys: list[Key], sizes: list[int]) -> Array:
         """Covariance of some of the variables, in this order."""
-        at = np.concatenate([np.arange(self.offset[k], self.offset[k] + n) for k, n in zip(keys, sizes, strict=True)])
-        return np.asarray(self.covariance[np.ix_(at, at)])
+        at = np.array([self.offset[k] + i for k, n in zip(keys, sizes, strict=True) for i in range(n)])
+        return np.asarray(self.covariance[at[:, None], at])
 
 
 def predict_feature(window: Window, track: Track, look: Look, joint: Joint) -> Prediction:
     """A feature of the graph as a look should see it, with the full joint uncertainty."""
-    first, kx, ka, kf = track.detections[0], pose_key(look.index), pose_key(track.anchor), feature_key(track.key)
-    T_a, T_j, q = window.T(track.anchor), window.T(look.index), window.estimate.q(track.key)
-    s, H_a, H_j, H_f = anchored_observation(T_a, T_j, first.look.mount, look.mount, q)
-    if ka == kx:
-        H, P = np.hstack((H_a + H_j, H_f)), joint.block([ka, kf], [6, 3])
-    else:
-        H, P = np.hstack((H_a, H_j, H_f)), joint.block([ka, kx, kf], [6, 6, 3])
-    a, c = look.limits[4:]
-    H[2] *= a + 3.0 * c * s[2] ** 2
-    return Prediction(track, np.array([s[0], s[1], u_from_theta(s[2], a, c)]), H @ P @ H.T)
+    first, at = track.detections[0], joint.offset
+    z, S = predict_anchored(
+        window.T(track.anchor), window.T(look.index), first.look.mount, look.mount, window.estimate.q(track.key),
+        joint.covariance, at[pose_key(track.anchor)], at[pose_key(look.index)], at[feature_key(track.key)],
+        look.limits[4], look.limits[5],
+    )  # fmt: skip
+    return Prediction(track, z, S)
 
 
 def predict_infants(window: Window, tracks: list[Track], look: Look) -> list[Prediction]:
@@ -117,6 +113,17 @@ def predict_infants(window: Window, tracks: list[Track], look: Look) -> list[Pre
     covariance = np.array([m.covariance for _, m in pairs])
     z, S = predict_points(points, slack, covariance, t, extra, R, p, look.limits[4], look.limits[5])
     return [Prediction(track, z[i], S[i]) for i, (track, _) in enumerate(pairs)]
+
+
+def view_weights(predictions: list[Prediction], look: Look) -> list[float]:
+    """How well a look should see what it predicts at r, phi, u: ``exp(-u^2 / 2)`` in its field of view, else 0."""
+    if not predictions:
+        return []
+    r, phi, u = np.array([p.z for p in predictions]).T
+    low, high, left, right = look.limits[:4]
+    inside = (low <= r) & (r <= high) & (left <= phi) & (phi <= right)
+    weights: list[float] = np.where(inside, np.exp(-0.5 * u**2), 0.0).tolist()
+    return weights
 
 
 def reference(window: Window, track: Track) -> int:

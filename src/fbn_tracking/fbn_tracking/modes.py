@@ -13,7 +13,7 @@ import numpy as np
 
 from fbn_common.types import NS, Array, Mat2, Mat3, Mat4, Vec3
 from fbn_tracking.gating import missed_costs
-from fbn_tracking.geometry import observe
+from fbn_tracking.geometry import observe, theta_from_u
 from fbn_tracking.infants import fit, normal_equations, spread, symmetric_inverse
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.track import Detection, Look, Mode, Ping, Track, array_pose
@@ -72,8 +72,7 @@ def starting_points(track: Track, around: Surroundings) -> list[Vec3]:
 
 def half_lobe(detection: Detection) -> float:
     """Half the lobe's width [rad], from the elevation's shape: u = 1 at its edge."""
-    a, c = detection.z[4:]
-    return float(1.0 / a if c == 0.0 else max(np.roots([c, 0.0, a, -1.0]).real))
+    return theta_from_u(1.0, detection.z[4], detection.z[5])
 
 
 def evaluate(track: Track, q: Vec3, around: Surroundings) -> Mode:

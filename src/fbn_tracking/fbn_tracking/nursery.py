@@ -8,12 +8,12 @@ from math import log
 import numpy as np
 
 from fbn_common import chi_square
-from fbn_common.types import NS, Array, Mat2, Mat3
+from fbn_common.types import NS, Mat2, Mat3
 from fbn_tracking.infants import slack_covariance
 from fbn_tracking.modes import Surroundings, find_modes
 from fbn_tracking.motion_check import of_track
 from fbn_tracking.parameters import TrackingParameters
-from fbn_tracking.track import Detection, Look, Track
+from fbn_tracking.track import Detection, Track
 from fbn_tracking.window import Window
 
 _CERTAIN = 50.0  # score of what has graduated once
@@ -124,9 +124,3 @@ class Nursery:
 def slack(window: Window, drift_covariance: Mat3) -> Mat2:
     """How far the drift may still be wrong, in the world's x and y [m^2/s^2]."""
     return slack_covariance(drift_covariance, window.T(window.last)[:2, 0])
-
-
-def view_weight(z: Array, look: Look) -> float:
-    """How well a look should see what it predicts at r, phi, u: ``exp(-u^2 / 2)`` in its field of view, else 0."""
-    low, high, left, right = look.limits[:4]
-    return float(np.exp(-0.5 * z[2] ** 2)) if low <= z[0] <= high and left <= z[1] <= right else 0.0

@@ -6,8 +6,9 @@ import numpy as np
 
 from fbn_common.records import Stage, TrackedFeature, TrackedFeatures
 from fbn_common.types import Array, Mat4, Vec3
-from fbn_tracking.composite import cartesian_feature, elevation_scale
+from fbn_tracking.composite import cartesian_feature
 from fbn_tracking.elevation import likelier_side
+from fbn_tracking.gating import anchored_place
 from fbn_tracking.matching import Joint, feature_key, pose_key
 from fbn_tracking.modes import Surroundings
 from fbn_tracking.nursery import Nursery
@@ -65,12 +66,11 @@ def _feature(
     window: Window, track: Track, feature: FeatureParameters, joint: Joint | None, move: Mat4
 ) -> TrackedFeature:
     ka, kf = pose_key(track.anchor), feature_key(track.key)
-    q = sided(window, track, feature)
-    point, by_anchor, by_q = cartesian_feature(window.T(track.anchor), track, q)
-    covariance = track.modes[0].covariance[:3, :3] if track.modes else np.eye(3)
+    T_anchor, q, first = window.T(track.anchor), sided(window, track, feature), track.detections[0]
     if joint is not None and ka in joint.offset and kf in joint.offset:
-        P = joint.block([ka, kf], [6, 3])
-        by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt(P[8, 8])))
-        J = np.hstack((by_anchor, by_q))
-        covariance = J @ P @ J.T
+        at, a, c = joint.offset, first.z[4], first.z[5]
+        point, covariance = anchored_place(T_anchor, first.look.mount, q, joint.covariance, at[ka], at[kf], a, c)
+    else:
+        point, _, _ = cartesian_feature(T_anchor, track, q)
+        covariance = track.modes[0].covariance[:3, :3] if track.modes else np.eye(3)
     return _record(track, Stage.RETIRED if track.retired else Stage.FEATURE, point, covariance, move)

@@ -7,8 +7,8 @@ from math import log1p
 from fbn_common import chi_square
 from fbn_common.records import Innovation, Verdict
 from fbn_common.types import Mat3
-from fbn_tracking.matching import DRIFT, Joint, Match, Prediction, match, predict_feature, predict_infants
-from fbn_tracking.nursery import Nursery, view_weight
+from fbn_tracking.matching import DRIFT, Joint, Match, Prediction, match, predict_feature, predict_infants, view_weights
+from fbn_tracking.nursery import Nursery
 from fbn_tracking.parameters import TrackingParameters
 from fbn_tracking.track import Detection, Look, Track
 from fbn_tracking.window import Window
@@ -75,8 +75,8 @@ class Scanner:
 
     def _note_misses(self, predictions: list[Prediction], matched: set[int], look: Look) -> None:
         weights: dict[int, tuple[Track, float]] = {}
-        for prediction in predictions:
-            key, weight = prediction.track.key, view_weight(prediction.z, look)
+        for prediction, weight in zip(predictions, view_weights(predictions, look), strict=True):
+            key = prediction.track.key
             if key not in matched and weight > weights.get(key, (prediction.track, _VISIBLE))[1]:
                 weights[key] = (prediction.track, weight)
         for track, weight in weights.values():

@@ -8,6 +8,7 @@ from math import exp
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg.lapack import dtrtri
 
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.records import PingMotion, Pose, SonarDetections
@@ -166,11 +167,21 @@ def next_ping(before: Ping, motion: PingMotion, deviation: float) -> Ping:
         np.ascontiguousarray(motion.increment.position),
         matrix_from_quaternion(motion.increment.orientation),
         covariance,
-        whitener(inverse(covariance)),
+        inverse_root(covariance),
         motion.earth.copy(),
         whitener(information),
         before.travelled + gathered,
     )
+
+
+def inverse_root(covariance: Array) -> Array:
+    """``W`` with ``W^T W`` the inverse of a covariance (n, n); what rounding made indefinite carries no information."""
+    try:
+        W, _ = dtrtri(np.linalg.cholesky(covariance), lower=1)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(covariance)
+        return np.ascontiguousarray((vectors / np.sqrt(np.where(values > 0.0, values, np.inf))).T)
+    return np.ascontiguousarray(W)
 
 
 def pose_matrix(pose: Pose) -> Mat4:

@@ -20,6 +20,7 @@ def warm_up() -> None:
     geometry.anchored_observation(pose, pose, mount, mount, q)
     geometry.elevation_shape(0.17, 2e-3, True)
     geometry.u_from_theta(0.1, 0.3, 150.0)
+    geometry.theta_from_u(1.0, z[4], z[5])
     geometry.finite_slope(0.1, 0.5, 0.3, 150.0)
     geometry.cartesian_jacobian(q)
     geometry.observe(eye3, zero3, np.array([1.0, 2.0, 3.0]))
@@ -31,6 +32,8 @@ def warm_up() -> None:
         point[None], np.zeros((1, 2)), covariance[None], np.zeros(1), np.zeros((1, 2)), eye3, zero3, 0.3, 150.0
     )
     gating.pair_costs(zs, S, z[None])
+    gating.predict_anchored(pose, pose, mount, mount, q, np.eye(15), 0, 6, 12, z[4], z[5])
+    gating.anchored_place(pose, mount, q, np.eye(15), 0, 12, z[4], z[5])
     gating.beam_weights(point, R, p, np.stack((z, z)))
     gating.missed_costs(point[None], R, p, np.stack((z, z)), np.array([0.5, 0.5]))
     infants.symmetric_inverse(np.eye(3))

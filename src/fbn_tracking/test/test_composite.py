@@ -14,8 +14,11 @@ from synthetic_world import World, corridor, play, simulate
 from fbn_common.lie import matrix_from_quaternion, rpy_from_matrix, so3_exp, so3_log
 from fbn_common.sonar import cartesian, polar
 from fbn_testing.gtsam_window import DRIFT, feature_key, graph_of, pose_key, values_of
+from fbn_tracking.composite import cartesian_feature, elevation_scale
 from fbn_tracking.estimator import Tracking
-from fbn_tracking.geometry import elevation_shape
+from fbn_tracking.gating import anchored_place
+from fbn_tracking.geometry import anchored_observation, elevation_shape
+from fbn_tracking.matching import Joint, predict_feature
 from fbn_tracking.parameters import CompositeParameters, FeatureParameters, TrackingParameters
 from fbn_tracking.solver import solve
 
@@ -195,6 +198,27 @@ def test_the_optimum_is_that_of_gtsam(smoothed_window):
     assert graph.error(peer) <= found.energy * (1.0 + 1e-5)
     T = peer.atPose3(pose_key(window.last)).matrix()
     np.testing.assert_allclose(found.state.T[-1][:3, 3], T[:3, 3], atol=1e-3)  # m, of which 5 cm are allowed online
+
+
+def test_the_compiled_prediction_and_place_are_the_plain_formulas(smoothed_window):
+    window, _ = smoothed_window
+    track = next(iter(window.features.values()))
+    joint, look = Joint.of(window, window.last, [track]), window.pings[window.last].looks[0]
+    a, c, first = *look.limits[4:], track.detections[0]
+    T_a, T, q = window.T(track.anchor), window.T(window.last), window.estimate.q(track.key)
+    s, *by = anchored_observation(T_a, T, first.look.mount, look.mount, q)
+    H = np.hstack(by) * np.array([[1.0], [1.0], [a + 3.0 * c * s[2] ** 2]])
+    at, kf = joint.offset, joint.offset[("feature", track.key)]
+    columns = np.r_[at["pose", track.anchor] + np.arange(6), at["pose", window.last] + np.arange(6), kf + np.arange(3)]
+    found = predict_feature(window, track, look, joint)
+    np.testing.assert_allclose(found.z, [s[0], s[1], a * s[2] + c * s[2] ** 3], rtol=1e-12)
+    np.testing.assert_allclose(found.S, H @ joint.covariance[np.ix_(columns, columns)] @ H.T, rtol=1e-9)
+    point, covariance = anchored_place(T_a, first.look.mount, q, joint.covariance, columns[0], kf, *first.z[4:])
+    expected, by_anchor, by_q = cartesian_feature(T_a, track, q)
+    by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt(joint.covariance[kf + 2, kf + 2])))
+    J, rows = np.hstack((by_anchor, by_q)), np.r_[columns[:6], columns[12:]]
+    np.testing.assert_allclose(point, expected, rtol=1e-12)
+    np.testing.assert_allclose(covariance, J @ joint.covariance[np.ix_(rows, rows)] @ J.T, rtol=1e-9)
 
 
 def _fuse(composites):

@@ -9,6 +9,7 @@ import pytest
 from fbn_testing import gtsam_window as factors
 from fbn_testing.gtsam_window import DRIFT, feature_key, pose_key
 from fbn_tracking.factors import whitener
+from fbn_tracking.track import inverse_root
 
 Z = np.array([20.0, 1.5, 0.05, 0.02, 0.3, 170.0])
 
@@ -84,6 +85,14 @@ def test_an_information_without_rank_gives_rows_that_say_nothing():
     information = np.diag([4.0, 0.0, 1.0, 0.0])
     W = whitener(information)
     np.testing.assert_allclose(W.T @ W, information, atol=1e-15)
+
+
+def test_the_inverse_root_of_a_covariance_whitens_it_and_forgives_rounding():
+    A = np.random.default_rng(3).normal(size=(6, 6))
+    covariance = A @ A.T
+    W = inverse_root(covariance)
+    np.testing.assert_allclose(W @ covariance @ W.T, np.eye(6), atol=1e-9)  # condition number 1e3 to 1e4
+    assert np.isfinite(inverse_root(np.diag([1.0, 1.0, -1e-9]))).all()
 
 
 def test_a_yaw_across_the_cut_is_a_small_residual():

@@ -13,6 +13,7 @@ from fbn_common.records import SonarDetection, Stage, Verdict
 from fbn_common.sonar import polar
 from fbn_tracking.estimator import Tracking
 from fbn_tracking.parameters import CompositeParameters, FeatureParameters, TrackingParameters, blazed_array_pair
+from fbn_tracking.solver import solve
 
 SECOND, ARRAYS = 1_000_000_000, blazed_array_pair()
 
@@ -268,13 +269,24 @@ def test_the_sonar_may_be_switched_off_and_on():
 
 
 def test_a_featureless_hour_throws_nothing_and_keeps_its_size():
-    run = simulate(World(np.zeros((0, 3))), 1200, 1014)
+    run = simulate(World(np.zeros((0, 3)), period=3.0), 1200, 1014)
     tracker = Tracking()
     composites = _composites(play(tracker, run))
     assert tracker.health().values.get("smoother_failures", 0) == 0
     assert len(tracker._window.pings) <= 90 and len(composites) >= 1200 // 90
     R = tracker._window.T(tracker._window.last)[:3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)  # rounding does not grow from window to window
+
+
+def test_the_latest_pose_is_near_the_optimum_of_its_window_at_every_ping():
+    run, tracker, gaps = simulate(World(corridor(8), clutter=2.0, period=0.5), 120, 1018), Tracking(), []
+    for k, motion in enumerate(run.motions):
+        play(tracker, Run([motion], [s for s in run.scans if s.ping == k], run.poses))
+        window = tracker._window
+        best = solve(window.system, window.estimate.state, (0,), exact=True).state
+        gaps.append(np.linalg.norm(best.T[-1][:3, 3] - window.T(window.last)[:3, 3]))
+    assert tracker.health().values["graduated"] > 2 and tracker.health().values["composites"] > 1
+    assert np.median(gaps) < 0.01 and max(gaps) < 0.05  # m: one Gauss-Newton step from a step that was small
 
 
 def test_a_numerical_failure_costs_the_features_of_the_window_but_not_the_motion():
