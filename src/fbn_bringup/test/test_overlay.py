@@ -9,8 +9,8 @@ import pytest
 
 from fbn_bringup.evaluation.run import Run, collect
 from fbn_bringup.report.overlay import overlays
-from fbn_bringup.report.sweep import CELL, Raster, missed, swept
 from fbn_common import records as r
+from fbn_common.sweep import CELL, Raster, missed, swept
 
 
 def told(story, tell, truth_of, rival: float) -> Run:

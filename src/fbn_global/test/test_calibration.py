@@ -10,7 +10,7 @@ from fbn_bringup.evaluation.calibration import bins, expected_error
 from fbn_global.naps import surplus_gains
 from fbn_global.parameters import GlobalParameters, ScoringParameters
 from fbn_testing.composite_world import World
-from fbn_testing.ideal_observer import posterior
+from fbn_testing.ideal_observer import TRUTH, Belief, believe
 from fbn_testing.matching_play import play
 from fbn_testing.matching_worlds import drawn, rows_world
 
@@ -37,7 +37,7 @@ def test_the_farther_the_map_lies_off_the_less_can_be_told_of_its_rows() -> None
     told = []
     for offset in (4.0, 8.0, 12.0):
         settings = replace(rows_world(1000, offset, 3), fix_sigma=0.1, map_error=0.05)
-        told.append(posterior(settings, World(settings).make(), GlobalParameters())[0, 0])
+        told.append(believe(settings, World(settings).make(), GlobalParameters()).shifts[TRUTH])
     assert told[0] > told[1] > told[2]
     assert told[0] > 0.99
 
@@ -48,7 +48,17 @@ def test_the_observer_is_told_all_that_the_filter_finds_so_it_is_sure_where_the_
         run = World(settings).make()
         outcome = play(run, GlobalParameters())
         assert outcome.right
-        assert posterior(settings, run, GlobalParameters())[0, 0] > 0.99
+        assert believe(settings, run, GlobalParameters()).verdict(GlobalParameters().verdict) is True
+
+
+@pytest.mark.parametrize(
+    ("truth", "other", "null", "expected"),
+    [(0.995, 0.001, 0.004, True), (0.001, 0.995, 0.004, False), (0.5, 0.499, 0.001, None), (0.992, 0.0, 0.008, None)],
+)
+def test_the_observer_decides_by_the_filters_own_rule(
+    truth: float, other: float, null: float, expected: bool | None
+) -> None:
+    assert Belief({TRUTH: truth, (1, 0): other}, null).verdict(GlobalParameters().verdict) is expected
 
 
 def test_a_pair_gains_less_where_objects_lie_close_together() -> None:

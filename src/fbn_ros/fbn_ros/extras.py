@@ -5,19 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from fbn_common import records as r
 from fbn_ros.markers import markers_of
+from fbn_ros.overlay_markers import OverlayMarkers
 from fbn_ros.tf import map_odom, odom_base, tf_message
 
 Extra = Callable[[str, r.Record], None]
 
-DRAWN = ("tracking/features", "global/map", "global/hypotheses")
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+DRAWN = ("tracking/features", "tracking/composite", "global/map", "global/hypotheses")
 
 
 def for_node(node: Node, outputs: tuple[str, ...]) -> Extra:
     """A function to be called with everything that a node with these outputs takes in or publishes."""
-    extras = [e for e in (_markers(node, outputs), _transforms(node, outputs)) if e is not None]
+    made = (_markers(node, outputs), _overlays(node, outputs), _transforms(node, outputs))
+    extras = [e for e in made if e is not None]
 
     def publish(topic: str, record: r.Record) -> None:
         for extra in extras:
@@ -27,11 +32,9 @@ def for_node(node: Node, outputs: tuple[str, ...]) -> Extra:
 
 
 def _markers(node: Node, outputs: tuple[str, ...]) -> Extra | None:
-    from rclpy.qos import DurabilityPolicy, QoSProfile
     from visualization_msgs.msg import MarkerArray
 
-    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    publishers = {t: node.create_publisher(MarkerArray, f"{t}/markers", qos) for t in DRAWN if t in outputs}
+    publishers = {t: node.create_publisher(MarkerArray, f"{t}/markers", _LATCHED) for t in DRAWN if t in outputs}
     if not publishers:
         return None
 
@@ -39,6 +42,24 @@ def _markers(node: Node, outputs: tuple[str, ...]) -> Extra | None:
         publisher = publishers.get(topic)
         if publisher is not None and publisher.get_subscription_count():
             publisher.publish(markers_of(record))
+
+    return publish
+
+
+def _overlays(node: Node, outputs: tuple[str, ...]) -> Extra | None:
+    """Each likely hypothesis's map, with what was swept, found and missed on it, from the global filter's node."""
+    from visualization_msgs.msg import MarkerArray
+
+    if "global/hypotheses" not in outputs:
+        return None
+    publisher, overlays = node.create_publisher(MarkerArray, "global/overlay/markers", _LATCHED), OverlayMarkers()
+
+    def publish(topic: str, record: r.Record) -> None:
+        overlays.take(record)
+        if isinstance(record, r.MatchHypotheses) and publisher.get_subscription_count():
+            markers = overlays.draw(record)
+            if markers is not None:
+                publisher.publish(markers)
 
     return publish
 

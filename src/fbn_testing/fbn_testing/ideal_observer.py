@@ -3,18 +3,19 @@
 The observer is told what the filter has to find out: which feature each track is and where it truly lies, where every
 sweep went, how the sonar detects, and that the map fits at one of its places.  For the rest it has the filter's own
 likelihoods: the map's error and the fix's as they are stated, and how many features may be missing or off the map.
-Left to it is the one question that rows pose: by how many columns and rows the map lies off.  By Bayes' rule, over
-all such shifts ``k``:
+Left to it are the two questions that rows pose: by how many columns and rows the map lies off, and whether it is of
+this place at all.  By Bayes' rule, over all such shifts ``k`` and the null, in which all that was found is off the map:
 
     log P(k | data) = log N(found less map; 0, map + fix + drift + size)      of all pairs that k makes, at once
                     + log Gamma-Poisson(objects that k leaves off the map)
-                    + sum of log p over pairs + sum of log(1 - p + p P(missed)) over the map's others
+                    + sum of log p over pairs + sum of log(1 - p + p P(missed)) over the map's others + log prior odds
 
 Who knows less can rarely decide more; what it leaves undecided, hardly any filter with these assumptions can decide.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import log
 
 import numpy as np
@@ -25,20 +26,36 @@ from scipy.stats import multivariate_normal
 from fbn_common.records import CompositeMeasurement, SweptArea
 from fbn_common.types import Array, seconds
 from fbn_global.naps import surplus_log
-from fbn_global.parameters import GlobalParameters
+from fbn_global.parameters import GlobalParameters, VerdictParameters
 from fbn_testing.composite_world import Run, Settings
 from fbn_testing.matching_worlds import COLUMNS, ROWS, SPACING
 
 Shift = tuple[int, int]  # columns, rows
+TRUTH: Shift = (0, 0)
 _SHIFTS = [(a, b) for a in range(1 - COLUMNS, COLUMNS) for b in range(1 - ROWS, ROWS)]
 
 
-def posterior(s: Settings, run: Run, parameters: GlobalParameters) -> dict[Shift, float]:
-    """Probability of each shift of the map; (0, 0) is the truth."""
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What the ideal observer makes of a run: the probability of each shift of the map, and of the null."""
+
+    shifts: dict[Shift, float]
+    null: float
+
+    def verdict(self, p: VerdictParameters) -> bool | None:
+        """By the filter's own rule: whether the match that it would declare is right; None: undecided."""
+        best = max(self.shifts, key=lambda k: self.shifts[k])
+        sure = self.shifts[best] >= p.match_posterior and self.null <= p.null_posterior
+        return best == TRUTH if sure else None
+
+
+def believe(s: Settings, run: Run, parameters: GlobalParameters) -> Belief:
+    """The ideal observer's posterior."""
     observer = Observer(s, run, parameters)
-    scores = np.array([observer.score(shift) for shift in _SHIFTS])
+    scores = np.array([observer.null(), *(observer.score(shift) for shift in _SHIFTS)])
     weights = np.exp(scores - scores.max())
-    return dict(zip(_SHIFTS, (weights / weights.sum()).tolist(), strict=True))
+    null, *shifts = (weights / weights.sum()).tolist()
+    return Belief(dict(zip(_SHIFTS, shifts, strict=True)), null)
 
 
 class Observer:
@@ -56,12 +73,17 @@ class Observer:
         drift = s.drift_sigma * seconds(first.stamp_ns - self.composites[0].start_ns)
         self.common = s.fix_sigma**2 + drift**2
 
+    def null(self) -> float:
+        """Log probability of the data and of a map of another place, but for a constant."""
+        prior = log(1.0 - self.p.scoring.prior_match)
+        return surplus_log(len(self.found) + self.clutter, self.area, self.p.scoring) + prior
+
     def score(self, shift: Shift) -> float:
-        """Log probability of the data and of a shift, but for a constant."""
+        """Log probability of the data and of a shift, but for the same constant."""
         pairs = [(i, j) for i in self.found if (j := _moved(i, shift)) is not None]
         rows = {j for _, j in pairs}
         p = self.p.prior.existence
-        fit = self._fit(pairs) + len(pairs) * log(p)
+        fit = self._fit(pairs) + len(pairs) * log(p) + log(self.p.scoring.prior_match)
         fit += surplus_log(len(self.found) - len(pairs) + self.clutter, self.area, self.p.scoring)
         offset = self._offset(shift)
         others = [self.stated[j] + offset for j in range(COLUMNS * ROWS) if j not in rows]

@@ -19,6 +19,7 @@ class Outcome:
     right: bool = False
     wrong_ever: bool = False
     matched_ever: bool = False
+    favours_truth: bool = False  # the place likeliest at the end is the right one, declared or not
     calibration: list[tuple[float, bool]] = field(default_factory=list)  # of each place named, after each composite
     seconds: list[float] = field(default_factory=list)  # thread time of each composite
 
@@ -34,9 +35,10 @@ def play(run: Run, parameters: GlobalParameters) -> Outcome:
         outputs = estimator.advance(record.stamp_ns)
         if topic == "tracking/composite":
             outcome.seconds.append(time.thread_time() - began)
-            for mode in estimator.modes:
-                pairs = [(ids[row], key) for key, row in mode.best.pairs]
-                outcome.calibration.append((mode.posterior, mostly_true(pairs, run)))
+            named = [[(ids[row], key) for key, row in mode.best.pairs] for mode in estimator.modes]
+            judged = [mostly_true(pairs, run) for pairs in named]
+            outcome.calibration += zip((mode.posterior for mode in estimator.modes), judged, strict=True)
+            outcome.favours_truth = judged[:1] == [True]
         for output in outputs:
             if isinstance(output.record, MatchHypotheses):
                 hypotheses = output.record

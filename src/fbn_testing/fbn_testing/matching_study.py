@@ -44,15 +44,10 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """One seed: an outcome by method, and the ideal observer's (posterior, whether right) where there is one."""
+    """One seed: an outcome by method, and whether the ideal observer's match would be right; None: undecided."""
 
     outcomes: dict[str, Outcome]
-    ideal: tuple[float, bool] | None = None
-
-    @property
-    def decidable(self) -> bool:
-        """Whether the ideal observer would declare a match, and a right one."""
-        return self.ideal is not None and self.ideal[1] and self.ideal[0] >= GlobalParameters().verdict.match_posterior
+    ideal: bool | None = None
 
 
 def play_world(make: Make, methods: tuple[str, ...], seed: int) -> Played:
@@ -65,10 +60,9 @@ def play_rows(offset: float, observed: int, methods: tuple[str, ...], seed: int)
     """One seed of ambiguous rows, beside the ideal observer."""
     settings = rows_world(seed, offset, observed)
     run = World(settings).make()
-    shifts = ideal_observer.posterior(settings, run, GlobalParameters())
-    best = max(shifts, key=lambda k: shifts[k])
+    belief = ideal_observer.believe(settings, run, GlobalParameters())
     outcomes = {method: play(run, GlobalParameters(method=method)) for method in methods}
-    return Played(outcomes, (shifts[best], best == (0, 0)))
+    return Played(outcomes, belief.verdict(GlobalParameters().verdict))
 
 
 def play_all(one: Callable[[int], Played], o: Options, name: str) -> list[Played]:
@@ -80,7 +74,7 @@ def play_all(one: Callable[[int], Played], o: Options, name: str) -> list[Played
 
 
 def summary(outcomes: list[Outcome]) -> str:
-    """Rates at the end of the runs, how often a wrong match was ever declared, and the slowest update."""
+    """Rates at the end of the runs, a wrong match ever declared, the likeliest place the right one; slowest update."""
     n = len(outcomes)
     matched = [o for o in outcomes if o.verdict is Localization.MATCHED]
     right = sum(o.right for o in matched) / n
@@ -88,15 +82,22 @@ def summary(outcomes: list[Outcome]) -> str:
     ever = sum(o.wrong_ever for o in outcomes) / n
     slow = max(max(o.seconds) for o in outcomes)
     rates = f"right {right:6.1%}  wrong {wrong:6.1%}  undecided {(n - len(matched)) / n:6.1%}  wrong ever {ever:6.1%}"
-    return f"{rates}  slowest {slow:.3f} s"
+    favoured = sum(o.favours_truth for o in outcomes) / n
+    return f"{rates}  likeliest is right {favoured:6.1%}  slowest {slow:.3f} s"
 
 
 def decided(played: list[Played], method: str) -> str:
-    """How many of the runs that the ideal observer decides rightly this method did too."""
-    can = [p for p in played if p.decidable]
+    """What this method did of the runs that the ideal observer decides rightly, and of all others."""
+    can, cannot = [p for p in played if p.ideal], [p for p in played if not p.ideal]
     right = sum(p.outcomes[method].right for p in can)
-    text = f"  the data can decide {len(can) / len(played):6.1%}"
-    return f"{text}, of these right {right / len(can):6.1%}" if can else text
+    wrong = sum(p.outcomes[method].wrong_ever for p in cannot)
+    return f"  right {right} of {len(can)} decidable, wrong {wrong} of the {len(cannot)} others"
+
+
+def ideal(played: list[Played]) -> str:
+    """What the ideal observer declares."""
+    shares = [sum(p.ideal is answer for p in played) / len(played) for answer in (True, False, None)]
+    return "right {:6.1%}  wrong {:6.1%}  undecided {:6.1%}".format(*shares)
 
 
 def show(played: list[Played], o: Options) -> None:
@@ -116,10 +117,12 @@ def row_ambiguity(o: Options) -> None:
     """A table over offsets, numbers observed and methods."""
     for observed in (3, 5):
         for offset in (5.0, 8.0, 12.0):
-            played = play_all(partial(play_rows, offset, observed, o.methods), o, f"{observed} columns, {offset:.0f} m")
+            where = f"columns {observed} offset {offset:4.0f} m"
+            played = play_all(partial(play_rows, offset, observed, o.methods), o, where)
+            print(f"{where} ideal {ideal(played)}")
             for method in o.methods:
                 rates = summary([p.outcomes[method] for p in played])
-                print(f"columns {observed} offset {offset:4.0f} m {method:5s} {rates}{decided(played, method)}")
+                print(f"{where} {method:5s} {rates}{decided(played, method)}", flush=True)
 
 
 def worlds(make: Make, o: Options) -> None:

@@ -16,10 +16,10 @@ from fbn_bringup.evaluation.run import Run
 from fbn_bringup.evaluation.series import Innovations
 from fbn_bringup.report import layers as ly
 from fbn_bringup.report import style as st
-from fbn_bringup.report.overlay import Overlay, hypothesis_lines, overlays
-from fbn_bringup.report.sweep import CELL
+from fbn_bringup.report.overlay import DiveOverlay, hypothesis_lines, overlays
 from fbn_common import chi_square
 from fbn_common.records import Verdict
+from fbn_common.sweep import CELL
 
 RC: Final[Any] = {
     "font.family": "sans-serif",
@@ -204,7 +204,7 @@ def matches(run: Run, tracks: ErrorTracks, path: Path) -> None:
         _save(figure, path)
 
 
-def _aspect(made: list[Overlay]) -> float:
+def _aspect(made: list[DiveOverlay]) -> float:
     """Height over width of what the overlays show."""
     if not made:
         return 1.0
@@ -221,7 +221,7 @@ def _posterior(axes: Axes, run: Run, lines: list[Any]) -> None:
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def _overlay(axes: Axes, o: Overlay) -> None:
+def _overlay(axes: Axes, o: DiveOverlay) -> None:
     _plane(axes, f"Dive {o.dive}: {len(o.pairs)} pairs")
     if o.swept is not None:
         rows, columns = o.swept.scans.shape
