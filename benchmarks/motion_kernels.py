@@ -1,7 +1,9 @@
 """The EKFs' kernels beside filterpy's EKF of the same size, block by block in turn in one process.
 
 Ours propagates on the manifold (rotation, interpolated motion, 12x24 Jacobian, process noise) and answers a compass
-measurement with gate and verdict; filterpy is given F, H and h(x) for free and only does the linear algebra.
+measurement with gate and verdict; filterpy is given F, H and h(x) for free and only does the linear algebra.  Ours is
+timed as the filter runs it, in a compiled loop over what is due, and also called by itself from Python, where handing
+over its arguments costs about as much as its work.
 """
 
 from __future__ import annotations
@@ -12,25 +14,27 @@ from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
+from numba import njit
 
 from fbn_common.graph import GRAPH
 from fbn_common.motion_ekf.core import MotionEkf
-from fbn_common.motion_ekf.layout import GRID_NS, Kind
+from fbn_common.motion_ekf.layout import GRID_NS, Config, Events, Kind, Motions
 from fbn_common.motion_ekf.propagate import propagate
 from fbn_common.motion_ekf.run import measure
 from fbn_common.motion_ekf.warm_up import standstill
-from fbn_common.types import seconds
+from fbn_common.types import Array, seconds
 from fbn_ros.host import resolve
 
 BLOCKS, CALLS = 9, 400
 
 
 class Contest(NamedTuple):
-    """Microseconds a call, medians of the blocks."""
+    """Microseconds, medians of the blocks."""
 
     what: str
     states: int
-    ours: float
+    ours: float  # in the filter's loop
+    alone: float  # called from Python
     filterpy: float
 
     @property
@@ -60,12 +64,29 @@ def _contest(name: str, ekf: MotionEkf) -> list[Contest]:
     row, dt = int(np.argmax(ekf.motions.rows.stamp)), seconds(GRID_NS)
     peer, h = _peer(n), np.eye(3, n, 3)
     motions, events, config = ekf.motions.rows, ekf.events.rows, ekf.config
-    predict = _in_turn(lambda: propagate(x, p, motions, row, 0.0, 1.0, dt, config), peer.predict)
+    predict = _in_turn(
+        lambda: _predicts(CALLS, x, p, motions, row, dt, config),
+        lambda: _repeat(lambda: propagate(x, p, motions, row, 0.0, 1.0, dt, config)),
+        lambda: _repeat(peer.predict),
+    )
     update = _in_turn(
-        lambda: measure(slot, x, p, sensors, events, config),
-        lambda: peer.update(np.zeros(3), lambda s: h, lambda s: h @ s),
+        lambda: _updates(CALLS, slot, x, p, sensors, events, config),
+        lambda: _repeat(lambda: measure(slot, x, p, sensors, events, config)),
+        lambda: _repeat(lambda: peer.update(np.zeros(3), lambda s: h, lambda s: h @ s)),
     )
     return [Contest(f"{name} predict", n, *predict), Contest(f"{name} update, 3 dof", n, *update)]
+
+
+@njit
+def _predicts(count: int, x: Array, p: Array, motions: Motions, row: int, dt: float, config: Config) -> None:
+    for _ in range(count):
+        propagate(x, p, motions, row, 0.0, 1.0, dt, config)
+
+
+@njit
+def _updates(count: int, slot: int, x: Array, p: Array, sensors: Array, events: Events, config: Config) -> None:
+    for _ in range(count):
+        measure(slot, x, p, sensors, events, config)
 
 
 def _peer(n: int) -> ExtendedKalmanFilter:
@@ -75,15 +96,18 @@ def _peer(n: int) -> ExtendedKalmanFilter:
     return peer
 
 
-def _in_turn(ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[float, float]:
-    """Microseconds a call of both, medians over blocks taken in turn."""
-    times = np.array([[_block(ours), _block(theirs)] for _ in range(BLOCKS + 1)])[1:]
-    a, b = np.median(times, axis=0)
-    return float(a), float(b)
+def _in_turn(*blocks: Callable[[], object]) -> tuple[float, ...]:
+    """Microseconds a call of each, medians over blocks taken in turn."""
+    times = np.array([[_time(block) for block in blocks] for _ in range(BLOCKS + 1)])[1:]
+    return tuple(np.median(times, axis=0))
 
 
-def _block(call: Callable[[], object]) -> float:
-    begin = time.thread_time()
+def _repeat(call: Callable[[], object]) -> None:
     for _ in range(CALLS):
         call()
+
+
+def _time(block: Callable[[], object]) -> float:
+    begin = time.thread_time()
+    block()
     return (time.thread_time() - begin) / CALLS * 1e6

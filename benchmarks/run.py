@@ -8,6 +8,7 @@ import numpy as np
 from graph import calibration, graph_speed
 from matching import contests as jcbb_contests
 from matching import updates
+from motion import front_half_speed
 from motion_kernels import contests
 from rich.console import Console
 from rich.markup import escape
@@ -28,11 +29,22 @@ def table(title: str, *columns: str) -> Table:
 
 def kernels() -> Table:
     """EKF kernels against filterpy."""
-    made = table(
-        "EKF kernels beside filterpy's EKF of the same size", "what", "states", "ours [us]", "filterpy [us]", "ratio"
-    )
+    columns = ("what", "states", "ours [us]", "called alone [us]", "filterpy [us]", "ratio")
+    made = table("EKF kernels beside filterpy's EKF of the same size", *columns)
     for c in contests():
-        made.add_row(c.what, str(c.states), f"{c.ours:.1f}", f"{c.filterpy:.1f}", f"{c.ratio:.2f}")
+        times = (f"{t:.1f}" for t in (c.ours, c.alone, c.filterpy))
+        made.add_row(c.what, str(c.states), *times, f"{c.ratio:.2f}")
+    return made
+
+
+def front_half() -> Table:
+    """Predict and both filters on a long mission without sonar."""
+    loads, answers = front_half_speed()
+    made = table(f"Front half on 25 minutes, {answers} measurements answered", "node", "CPU [s]", "times real time")
+    for load in loads:
+        made.add_row(load.node, f"{load.cpu_s:.2f}", f"{load.factor:.0f}")
+    total = sum(load.cpu_s for load in loads)
+    made.add_row("all three", f"{total:.2f}", f"{loads[0].cpu_s * loads[0].factor / total:.0f}")
     return made
 
 
@@ -82,7 +94,7 @@ def simulator() -> Table:
 def main() -> int:
     """Print every table."""
     loop = calibration()
-    for made in (kernels(), *graph(), *tracker(), *matching(), simulator()):
+    for made in (kernels(), front_half(), *graph(), *tracker(), *matching(), simulator()):
         console.print(made, "")
     console.print(f"[dim]a fixed Python loop took {loop * 1e3:.0f} ms before and {calibration() * 1e3:.0f} ms after")
     return 0

@@ -28,11 +28,10 @@ def skew(v: Vec3) -> Mat3:
 @kernel
 def product(a: Mat3, b: Mat3) -> Mat3:
     """``a b``, summed in a fixed order: in a kernel quicker than BLAS, and the same to the last bit everywhere."""
-    c = np.zeros((3, 3))
+    c = np.empty((3, 3))
     for i in range(3):
-        for k in range(3):
-            for j in range(3):
-                c[i, j] += a[i, k] * b[k, j]
+        for j in range(3):
+            c[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
     return c
 
 
@@ -119,8 +118,7 @@ def so3_right_jacobian(theta: Vec3) -> Mat3:
     else:
         a = np.sqrt(a2)
         b, c = (1.0 - np.cos(a)) / a2, (a - np.sin(a)) / (a2 * a)
-    k = skew(theta)
-    return np.eye(3) - b * k + c * (k @ k)
+    return _of_skew(theta, -b, c)
 
 
 @kernel
@@ -132,8 +130,19 @@ def so3_right_jacobian_inverse(theta: Vec3) -> Mat3:
     else:
         a = np.sqrt(a2)
         c = 1.0 / a2 - (1.0 + np.cos(a)) / (2.0 * a * np.sin(a))
+    return _of_skew(theta, 0.5, c)
+
+
+@kernel
+def _of_skew(theta: Vec3, b: float, c: float) -> Mat3:
+    """``I + b [theta]x + c [theta]x^2``."""
     k = skew(theta)
-    return np.eye(3) + 0.5 * k + c * (k @ k)
+    out = product(k, k)
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = b * k[i, j] + c * out[i, j]
+        out[i, i] += 1.0
+    return out
 
 
 @kernel

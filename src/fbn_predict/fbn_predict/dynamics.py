@@ -89,7 +89,9 @@ def _rotate_back(a: Mat3, v: Vec3) -> Vec3:
 
 @kernel
 def _cross(a: Vec3, b: Vec3) -> Vec3:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    out = np.empty(3)
+    out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return out
 
 
 @kernel
@@ -111,18 +113,19 @@ def rates(
     world = attitude
     water0, up0 = _rotate_back(world, p[12:15]), world[2].copy()
     water, up = _rotate_back(e, water0), _rotate_back(e, up0)
-    rel = np.empty(3)
+    rel, flow, momentum, m = np.empty(3), np.empty(3), np.empty(3), model.mass
     for i in range(3):
         rel[i] = v[i] - water[i]
-    flow = rel.copy()  # at the centre of lateral resistance
+        flow[i] = rel[i]
+        momentum[i] = m[i] * rel[i]
+    # flow: at the centre of lateral resistance
     flow[1] += model.lateral_centre * w[2]
     flow[2] -= model.lateral_centre * w[1]
     drive = np.empty(12)
     actuation(model, actuators, rel[0], depth, drive)
-    m = model.mass
-    momentum = m * rel
     spin, drag = _cross(w, momentum), _cross(w, water)
-    wv, wwv = _cross(theta, w), _cross(theta, _cross(theta, w))
+    wv = _cross(theta, w)
+    wwv = _cross(theta, wv)
     lift = model.buoyancy * min(max(depth / model.surface_depth, 0.0), 1.0)
     for i in range(3):
         dy[i] = e[i, 0] * v[0] + e[i, 1] * v[1] + e[i, 2] * v[2]
@@ -158,13 +161,13 @@ def _jacobians(
     theta, v, w = y[3:6], y[6:9], y[9:12]
     a[:], b[:] = 0.0, 0.0
     jr, et, m = so3_right_jacobian(theta), np.ascontiguousarray(e.T), model.mass
-    a[0:3, 3:6] = -product(product(e, skew(v)), jr)
-    a[0:3, 6:9] = e
+    aside = product(product(e, skew(v)), jr)
     dot = theta[0] * w[0] + theta[1] * w[1] + theta[2] * w[2]
     square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
     sw, st = skew(w), skew(theta)
     for i in range(3):
         for j in range(3):
+            a[i, 3 + j], a[i, 6 + j] = -aside[i, j], e[i, j]
             same = 1.0 if i == j else 0.0
             a[3 + i, 3 + j] = -0.5 * sw[i, j] + (theta[i] * w[j] + dot * same - 2.0 * w[i] * theta[j]) / 12.0
             a[3 + i, 9 + j] = same + 0.5 * st[i, j] + (theta[i] * theta[j] - square * same) / 12.0
@@ -175,10 +178,10 @@ def _jacobians(
             r[i, j] = -sw[i, j] * m[j] / m[i]
         r[i, i] -= p[3 + i] * (1.0 + 2.0 * model.quadratic[i] * abs(flow[i]))
         r[i, 0] += p[9 + i] * drive[6 + i]
-    a[6:9, 6:9] = r
     sm, su = skew(momentum), skew(water)
     for i in range(3):
         for j in range(3):
+            a[6 + i, 6 + j] = r[i, j]
             a[6 + i, 9 + j] = sm[i, j] / m[i] + su[i, j]
         a[9 + i, 9 + i] = -p[6 + i]
         a[9 + i, 6] = p[i] * drive[9 + i]
@@ -226,11 +229,11 @@ def _flow(a: Array, b: Array, s: Array, out: Array) -> None:
     for i in range(12):
         for j in range(COLUMNS):
             out[i, j] = 0.0
-        for k in range(3, 12):
-            c = a[i, k]
-            if c != 0.0:
+        for k in range(3, 12, 3):  # three at a time: each round reads and writes ``out``
+            c0, c1, c2 = a[i, k], a[i, k + 1], a[i, k + 2]
+            if c0 != 0.0 or c1 != 0.0 or c2 != 0.0:
                 for j in range(COLUMNS):
-                    out[i, j] += c * s[k, j]
+                    out[i, j] = out[i, j] + c0 * s[k, j] + c1 * s[k + 1, j] + c2 * s[k + 2, j]
         for j in range(18):
             out[i, 6 + j] += b[i, j]
 

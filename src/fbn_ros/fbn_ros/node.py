@@ -118,7 +118,7 @@ class EstimatorNode(RosNode):
     def _tick(self) -> None:
         now, now_ns = time.monotonic(), self.get_clock().now().nanoseconds
         if self._due:
-            self.statistics.lateness.add(max(0.0, now - self._due))
+            self.statistics.tick(now - self._due, self.declared.period_s)
         self._due = now + self.declared.period_s
         if now_ns > 0:  # simulated time stands at 0 until its first message
             self._advance(now_ns)

@@ -35,6 +35,7 @@ class Statistics:
     latency: dict[str, Spread] = field(default_factory=dict)  # s, arrival less stamp
     advance: Spread = field(default_factory=Spread)  # s
     lateness: Spread = field(default_factory=Spread)  # s, of the timer
+    missed: int = 0  # of the timer's cycles, in all
     last_ns: dict[str, int] = field(default_factory=dict)
     _begin: float = field(default_factory=time.monotonic)
     _cpu: float = field(default_factory=time.process_time)
@@ -44,6 +45,11 @@ class Statistics:
         self.received[topic] += 1
         self.last_ns[topic] = now_ns
         self.latency.setdefault(topic, Spread()).add((now_ns - stamp_ns) / NS)
+
+    def tick(self, late_s: float, period_s: float) -> None:
+        """The timer came so much later than a period after it came last: whole periods of that are cycles missed."""
+        self.lateness.add(max(0.0, late_s))
+        self.missed += int(max(0.0, late_s) / period_s)
 
     def silent(self, topics: tuple[str, ...], now_ns: int, limit_s: float) -> list[str]:
         """The topics on which nothing has come for so long."""
@@ -57,6 +63,7 @@ class Statistics:
         values["advance mean [ms]"] = round(1e3 * self.advance.mean, 3)
         values["advance max [ms]"] = round(1e3 * self.advance.largest, 3)
         values["timer late max [ms]"] = round(1e3 * self.lateness.largest, 3)
+        values["timer cycles missed"] = self.missed
         for topic, spread in sorted(self.latency.items()):
             values[f"{topic} count"] = self.received[topic]
             values[f"{topic} rate [Hz]"] = round(spread.count / interval, 2)

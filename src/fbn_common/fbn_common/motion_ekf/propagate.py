@@ -31,7 +31,10 @@ from fbn_common.types import Array, Mat3
 
 @kernel
 def _apply(a: Mat3, v: Array) -> Array:
-    return np.array([a[i, 0] * v[0] + a[i, 1] * v[1] + a[i, 2] * v[2] for i in range(3)])
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = a[i, 0] * v[0] + a[i, 1] * v[1] + a[i, 2] * v[2]
+    return out
 
 
 @kernel
@@ -45,13 +48,21 @@ def rotation_of(x: Array) -> Mat3:
 
 
 @kernel
+def _normalise(v: Array) -> None:
+    length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    for i in range(3):
+        v[i] /= length
+
+
+@kernel
 def set_rotation(x: Array, rotation: Mat3) -> None:
     """Write R_world_base into a state, its columns made orthonormal again (Gram-Schmidt)."""
-    r = rotation
-    a, b = r[:, 0], r[:, 1]
-    a = a / np.sqrt((a * a).sum())
-    b = b - (a * b).sum() * a
-    b = b / np.sqrt((b * b).sum())
+    a, b = rotation[:, 0].copy(), rotation[:, 1].copy()
+    _normalise(a)
+    along = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    for i in range(3):
+        b[i] -= along * a[i]
+    _normalise(b)
     for i in range(3):
         x[X_ROTATION + 3 * i] = a[i]
         x[X_ROTATION + 3 * i + 1] = b[i]
