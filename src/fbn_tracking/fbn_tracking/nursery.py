@@ -56,7 +56,7 @@ class Nursery:
         """Move tracks to their likeliest places, given the poses; ask those that may graduate whether they move."""
         for track in tracks:
             track.modes = find_modes(track, around)
-            if track.memory is None and len(track.detections) >= self.parameters.infant.detections:
+            if track.memory is None and len(track.detections) >= self.parameters.infant.detections_at_end:
                 track.motion = of_track(track, around)
 
     def around(self, window: Window, drift_covariance: Mat3) -> Surroundings:
@@ -88,7 +88,7 @@ class Nursery:
         par, n = self.parameters.infant, len(track.detections)
         if track.memory is not None:
             return n >= (1 if expired else _AGAIN)
-        if n < par.detections or not track.modes or track.score < par.score:
+        if n < (par.detections_at_end if expired else par.detections) or not track.modes or track.score < par.score:
             return False
         mode = track.modes[0]
         undecided = len(track.modes) > 1 and n < par.detections + par.patience and not expired

@@ -306,3 +306,14 @@ def test_the_linear_elevation_is_there_for_comparison():
     parameters = TrackingParameters(feature=FeatureParameters(elevation="linear"))
     outputs = play(Tracking(parameters), simulate(World(corridor(4)), 60, 1016))
     assert _composites(outputs)[0].features
+
+
+@pytest.mark.parametrize(("looks", "expected"), [(4, 0), (5, 1)])
+def test_what_has_left_the_view_needs_fewer_detections(looks, expected):
+    run = simulate(World(np.array([[30.0, 2.0, -3.0]]), detection_probability=1.0), 25, 1018)
+    run.scans = [s for s in run.scans if s.ping < looks]  # then nothing is looked at: nothing speaks against it
+    tracker = Tracking()
+    play(tracker, Run(run.motions[: looks + 1], run.scans, run.poses))
+    assert tracker.health().values["features"] == 0  # in view: more may come
+    play(tracker, Run(run.motions[looks + 1 :], run.scans, run.poses))
+    assert tracker.health().values.get("graduated", 0) == expected
