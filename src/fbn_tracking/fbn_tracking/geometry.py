@@ -146,7 +146,7 @@ def anchored_observation(
 ) -> tuple[Vec3, Array, Array, Mat3]:
     """``(r, phi, theta)`` of an anchored feature from another pose, and derivatives by anchor, pose and q.
 
-    Poses and mounts are 4 x 4 (base in world, array in base).  Pose derivatives (3, 6) are by gtsam's tangent:
+    Poses and mounts are 4 x 4 (base in world, array in base).  Pose derivatives (3, 6) are by the tangent:
     rotation then translation, both in the body frame, perturbing on the right.
     """
     c, dc = cartesian_jacobian(q)

@@ -23,6 +23,7 @@ def warm_up() -> None:
     geometry.theta_from_u(1.0, z[4], z[5])
     geometry.finite_slope(0.1, 0.5, 0.3, 150.0)
     geometry.cartesian_jacobian(q)
+    geometry.world_point(eye3, zero3, q)
     geometry.observe(eye3, zero3, np.array([1.0, 2.0, 3.0]))
     R, p, t = np.stack((eye3, eye3)), np.zeros((2, 3)), np.zeros(2)
     x, H, *_ = infants.fit(q, R, p, t, np.stack((z, z)), np.eye(2), zero3, np.eye(3))
