@@ -12,7 +12,6 @@ from fbn_common.types import Array, Vec3
 from fbn_sim.simulation import Simulation
 from fbn_testing.feature_runs import Heard, tracker_of
 from fbn_tracking.composite import cartesian_feature
-from fbn_tracking.factors import feature_key
 from fbn_tracking.geometry import world_point
 from fbn_tracking.track import Track, array_pose
 from fbn_tracking.window import Window
@@ -71,7 +70,7 @@ def _off_lobe(story: list[Moment]) -> float:
 
 def _moment(window: Window, track: Track, simulation: Simulation) -> Moment:
     echoes = [
-        world_point(*array_pose(window.pose(d.index), d.look.mount), np.array([*d.z[:2], 0.0]))[0]
+        world_point(*array_pose(window.T(d.index), d.look.mount), np.array([*d.z[:2], 0.0]))[0]
         for d in track.detections
     ]
     modes = [mode.point for mode in track.modes]
@@ -83,13 +82,13 @@ def _moment(window: Window, track: Track, simulation: Simulation) -> Moment:
 
 
 def _smoothed(window: Window, track: Track) -> Vec3:
-    T, q = window.pose(track.anchor).matrix(), window.values.atPoint3(feature_key(track.key))
+    T, q = window.T(track.anchor), window.estimate.q(track.key)
     return cartesian_feature(T, track, q)[0]
 
 
 def _nearest_truth(window: Window, point: Vec3, simulation: Simulation) -> Vec3:
     """The true feature nearest to ``point``, carried along with the vehicle from where it is to where it is thought."""
-    motion, T = simulation.truth.at(window.pings[window.last].stamp_ns), window.pose(window.last).matrix()
+    motion, T = simulation.truth.at(window.pings[window.last].stamp_ns), window.T(window.last)
     R = T[:3, :3] @ matrix_from_quaternion(motion.orientation[0]).T
     carried = T[:3, 3] + (simulation.truth.features.positions - motion.position[0]) @ R.T
     return np.asarray(carried[np.argmin(np.hypot(*(carried - point).T[:2]))])
