@@ -218,7 +218,7 @@ def stated_by(rows: list[Row]) -> Stated:
 def reliability_table(rows: list[Row]) -> Table:
     """Of all the times that a place on the map was said to be so likely, how often it was the right one."""
     stated = stated_by(rows)
-    made = table("posterior of the place on the map", "stated", "right", "95 % bound", "of")
+    made = table("posteriors of places on the map", "stated", "share that was right", "95 % bound", "statements")
     for b in bins(stated):
         made.add_row(number(b.stated, 3), number(b.right, 3), f"{b.low:.3f}–{b.high:.3f}", str(b.count))
     made.caption = f"expected calibration error {expected_error(stated):.3f}; statements of one dive hang together"
