@@ -16,7 +16,7 @@ Extra = Callable[[str, r.Record], None]
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-DRAWN = ("tracking/features", "global/map", "global/hypotheses")
+DRAWN = ("tracking/features", "tracking/composite", "global/map", "global/hypotheses")
 
 
 def for_node(node: Node, outputs: tuple[str, ...]) -> Extra:

@@ -26,6 +26,7 @@ COLOURS: dict[r.Stage, Colour] = {
 PRIOR: Colour = (0.1, 0.6, 0.2, 0.7)
 FOUND: Colour = (1.0, 0.8, 0.1, 0.7)
 TARGET: Colour = (0.9, 0.1, 0.1, 0.9)
+SWEPT: Colour = (0.2, 0.5, 0.9, 0.2)
 SMALLEST_M = 0.3  # a feature known to a centimetre is still to be seen
 SIGMAS = 2.0  # of the ellipsoids' half axes
 ARROW = (2.0, 0.3, 0.3)
@@ -51,6 +52,29 @@ def _tracked(record: r.TrackedFeatures) -> Iterator[Any]:
         yield label(feature.position, f"{feature.key} ({feature.detections})")
 
 
+def _composite(record: r.CompositeMeasurement) -> Iterator[Any]:
+    """The cells that the sonar swept, the bluer the oftener; the way from base to P2; its features."""
+    base = record.base_odom.position * np.array([1.0, 1.0, 0.0])  # x and y are relative to it, z is not
+    swept = record.swept
+    seen = np.flatnonzero(swept.scans > 0.0)
+    if len(seen):
+        middles = np.column_stack((seen % swept.width, seen // swept.width)) + 0.5  # in cells
+        at = base[:2] + swept.origin + swept.cell_size * middles
+        alpha = 0.05 + 0.3 * swept.scans[seen] / swept.scans.max()
+        size = vector((swept.cell_size, swept.cell_size, 0.05))
+        cells = Marker(ns="swept", type=Marker.CUBE_LIST, pose=_still(), scale=size, color=colour_of(SWEPT))
+        cells.points = [point(np.array([x, y, 0.0])) for x, y in at]
+        cells.colors = [colour_of((*SWEPT[:3], a)) for a in alpha]
+        yield cells
+    ends = (np.array([base[0], base[1], record.mean[0]]), base + record.mean[4:7])
+    way = Marker(ns="way", type=Marker.LINE_STRIP, pose=_still(), scale=vector((0.2, 0.0, 0.0)), color=colour_of(FOUND))
+    way.points = [point(end) for end in ends]
+    yield way
+    for i in range(10, 10 + 3 * len(record.features), 3):
+        block = record.covariance[i : i + 3, i : i + 3]
+        yield _ellipsoid(base + record.mean[i : i + 3], block, COLOURS[r.Stage.RETIRED], "features")
+
+
 def _map(record: r.FeatureMap) -> Iterator[Any]:
     for i, feature in enumerate(record.features):
         block = record.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
@@ -70,6 +94,7 @@ def _hypotheses(record: r.MatchHypotheses) -> Iterator[Any]:
 
 _DRAWN: dict[type, Callable[[Any], Iterator[Any]]] = {
     r.TrackedFeatures: _tracked,
+    r.CompositeMeasurement: _composite,
     r.FeatureMap: _map,
     r.MatchHypotheses: _hypotheses,
 }
@@ -84,6 +109,10 @@ def _ellipsoid(position: Vec3, covariance: Mat3, colour: Colour, namespace: str)
     diameters = np.maximum(2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0)), SMALLEST_M)
     pose = RosPose(position=point(position), orientation=_quaternion(q))
     return Marker(ns=namespace, type=Marker.SPHERE, pose=pose, scale=vector(diameters), color=colour_of(colour))
+
+
+def _still() -> Any:
+    return RosPose(position=Point(), orientation=Quaternion(w=1.0))
 
 
 def label(position: Vec3, text: str) -> Any:

@@ -65,6 +65,17 @@ def test_other_records_are_not_drawn() -> None:
     assert markers_of(example(r.Odometry, RNG)) is None
 
 
+def test_a_composite_is_drawn_with_what_was_swept_and_its_way_from_where_it_began() -> None:
+    base, p2 = r.Pose(np.array([10.0, 20.0, -3.0]), np.array([0.0, 0.0, 0.0, 1.0])), np.array([5.0, 1.0, -2.5])
+    swept = r.SweptArea(2.0, 3, 2, np.array([-1.0, -1.0]), np.array([0.0, 4.0, 0.0, 0.0, 0.0, 2.0]))
+    given = replace(example(r.CompositeMeasurement, RNG, 0), base_odom=base, swept=swept, features=())
+    mean = np.concatenate(([-3.0, 0.0, 0.0, 0.0], p2, np.zeros(6)))
+    cells, way = markers_of(replace(given, mean=mean, covariance=np.eye(13))).markers[1:]
+    assert [(p.x, p.y) for p in cells.points] == [(12.0, 20.0), (14.0, 22.0)]  # middles of the cells that were seen
+    assert cells.colors[0].a > cells.colors[1].a
+    assert [(p.x, p.y, p.z) for p in way.points] == [(10.0, 20.0, -3.0), (15.0, 21.0, -2.5)]
+
+
 def swept_once() -> tuple[r.CompositeMeasurement, r.FeatureMap, r.MatchHypotheses]:
     """A feature found 10 m ahead, by dead reckoning 5 m west of its place; 30 m of ground swept, two features on it."""
     level = np.array([0.0, 0.0, 0.0, 1.0])

@@ -10,12 +10,13 @@ import numpy as np
 from fbn_common.lie import matrix_from_quaternion
 from fbn_common.records import CompositeMeasurement, SonarDetections
 from fbn_common.sonar import polar
-from fbn_common.types import Array
+from fbn_common.types import NS, Array
 from fbn_sim.simulation import Simulation
 from fbn_testing.feature_runs import Outcome
 
 PINGS_IN_VIEW = 10  # looks after which a true feature is due to be found
 NEAR = 2.0  # m, and four sigmas: what is farther from every static thing is false
+LASTING = 1e8  # s: what lives longer is static
 
 
 class Found(NamedTuple):
@@ -54,7 +55,8 @@ class Verdict:
     due: int = 0  # (dive, feature) pairs in view for ten pings or more
     promoted: int = 0  # of those
     patches: int = 0  # other static things found: patches of the bed that echo steadily
-    false: int = 0  # features where nothing static is
+    passing: int = 0  # fish or bubbles that were there while they were looked at, taken for static things
+    false: int = 0  # features where nothing was
     hours: float = 0.0
     found: list[Found] = field(default_factory=list)
     moved: list[Moved] = field(default_factory=list)
@@ -64,14 +66,14 @@ def judge(outcome: Outcome) -> Verdict:
     """Composites against the truth."""
     simulation = outcome.heard.simulation
     verdict, found = Verdict(simulation.seed), set[tuple[int, int]]()
-    patches, false = set[int](), set[int]()
+    patches, passing, false = set[int](), set[int](), set[int]()
     for c in outcome.composites:
         if c.features:
             verdict.moved.append(moved(c, simulation))
         for number, f in enumerate(c.features):
             target = nearest(c, number, simulation)
             if target is None:
-                false.add(f.key)
+                (passing if passes(c, number, simulation) else false).add(f.key)
             elif target >= simulation.truth.scatterers.features:
                 patches.add(f.key)
             else:
@@ -79,7 +81,7 @@ def judge(outcome: Outcome) -> Verdict:
                 verdict.found.append(placed(c, number, target, simulation))
     due = in_view(simulation)
     verdict.due, verdict.promoted = len(due), len(due & found)
-    verdict.patches, verdict.false = len(patches), len(false)
+    verdict.patches, verdict.passing, verdict.false = len(patches), len(passing), len(false - passing)
     verdict.hours = (simulation.entries[-1][0] - simulation.entries[0][0]) / 3.6e12
     return verdict
 
@@ -101,10 +103,26 @@ def nearest(c: CompositeMeasurement, number: int, simulation: Simulation) -> int
     xyz, covariance = place(c, number, simulation)
     things = simulation.truth.scatterers
     gaps = np.hypot(*(xyz - things.places).T[:2])
-    gaps[things.life[:, 1] < 1e8] = np.inf
-    reach = NEAR + 4.0 * np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1])
+    gaps[things.life[:, 1] < LASTING] = np.inf
     row = int(np.argmin(gaps))
-    return row if gaps[row] <= reach else None
+    return row if gaps[row] <= reach(covariance) else None
+
+
+def passes(c: CompositeMeasurement, number: int, simulation: Simulation) -> bool:
+    """Whether a fish or a cloud of bubbles was there at any time of the composite at which the feature was seen."""
+    xyz, covariance = place(c, number, simulation)
+    things, f = simulation.truth.scatterers, c.features[number]
+    start = simulation.truth.start_ns
+    seen = np.linspace(max(c.start_ns, f.first_seen_ns) - start, f.last_seen_ns - start, 11) / NS
+    alive = (things.life[:, :1] <= seen) & (seen <= things.life[:, 1:]) & (things.life[:, 1:] < LASTING)  # (m, 11)
+    age = seen - things.life[:, :1]
+    x, y = (things.places[:, i, None] + things.drift[:, i, None] * age - xyz[i] for i in (0, 1))
+    return bool((alive & (np.hypot(x, y) <= reach(covariance))).any())
+
+
+def reach(covariance: Array) -> float:
+    """How far a feature may lie from the thing that it is [m]."""
+    return float(NEAR + 4.0 * np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1]))
 
 
 def placed(c: CompositeMeasurement, number: int, target: int, simulation: Simulation) -> Found:

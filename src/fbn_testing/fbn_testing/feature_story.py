@@ -12,8 +12,9 @@ from fbn_common.types import Array, Vec3
 from fbn_sim.simulation import Simulation
 from fbn_testing.feature_runs import Heard, tracker_of
 from fbn_tracking.composite import cartesian_feature
-from fbn_tracking.factors import feature_key
 from fbn_tracking.geometry import world_point
+from fbn_tracking.parameters import FeatureParameters
+from fbn_tracking.publish import sided
 from fbn_tracking.track import Track, array_pose
 from fbn_tracking.window import Window
 
@@ -46,7 +47,7 @@ def stories(heard: Heard) -> list[list[Moment]]:
         for track in (t for t in tracker.tracks if t.memory is None and t.detections):
             story = told.setdefault((len(windows), track.key), [])
             if not story or len(track.detections) > len(story[-1].echoes):
-                story.append(_moment(windows[-1], track, heard.simulation))
+                story.append(_moment(windows[-1], track, tracker.parameters.feature, heard.simulation))
     return list(told.values())
 
 
@@ -69,27 +70,27 @@ def _off_lobe(story: list[Moment]) -> float:
     return float(np.abs(story[-1].echoes[:, 2] - story[-1].truth[2]).mean())
 
 
-def _moment(window: Window, track: Track, simulation: Simulation) -> Moment:
+def _moment(window: Window, track: Track, feature: FeatureParameters, simulation: Simulation) -> Moment:
     echoes = [
-        world_point(*array_pose(window.pose(d.index), d.look.mount), np.array([*d.z[:2], 0.0]))[0]
+        world_point(*array_pose(window.T(d.index), d.look.mount), np.array([*d.z[:2], 0.0]))[0]
         for d in track.detections
     ]
     modes = [mode.point for mode in track.modes]
-    point = _smoothed(window, track) if track.graduated else modes[0]
+    point = _smoothed(window, track, feature) if track.graduated else modes[0]
     rival = modes[1] if len(modes) > 1 and not track.graduated else None
     height = float(simulation.truth.at(window.pings[window.last].stamp_ns).position[0, 2])
     truth = _nearest_truth(window, point, simulation)
     return Moment(track.graduated, point, rival, np.array(echoes), truth, height)
 
 
-def _smoothed(window: Window, track: Track) -> Vec3:
-    T, q = window.pose(track.anchor).matrix(), window.values.atPoint3(feature_key(track.key))
-    return cartesian_feature(T, track, q)[0]
+def _smoothed(window: Window, track: Track, feature: FeatureParameters) -> Vec3:
+    """Where the tracker shows it."""
+    return np.asarray(cartesian_feature(window.T(track.anchor), track, sided(window, track, feature))[0])
 
 
 def _nearest_truth(window: Window, point: Vec3, simulation: Simulation) -> Vec3:
     """The true feature nearest to ``point``, carried along with the vehicle from where it is to where it is thought."""
-    motion, T = simulation.truth.at(window.pings[window.last].stamp_ns), window.pose(window.last).matrix()
+    motion, T = simulation.truth.at(window.pings[window.last].stamp_ns), window.T(window.last)
     R = T[:3, :3] @ matrix_from_quaternion(motion.orientation[0]).T
     carried = T[:3, 3] + (simulation.truth.features.positions - motion.position[0]) @ R.T
     return np.asarray(carried[np.argmin(np.hypot(*(carried - point).T[:2]))])

@@ -120,14 +120,16 @@ def places(verdicts: dict[str, list[Verdict]]) -> Table:
 
 def found(verdicts: dict[str, list[Verdict]]) -> Table:
     """What was found of what is there, and what is not."""
-    made = _table("Found", "in view for 10 pings", "promoted", "worst seed", "false in 10 min", "patches of the bed")
+    made = _table("Found", "in view for 10 pings", "promoted", "worst seed", "of nothing in 10 min",
+                  "fish and bubbles", "patches of the bed")  # fmt: skip
     for name, seeds in verdicts.items():
         due, hours = sum(v.due for v in seeds), sum(v.hours for v in seeds)
         worst = min(v.promoted / max(v.due, 1) for v in seeds)
         false = sum(v.false for v in seeds)
         made.add_row(
             name, str(due), f"{sum(v.promoted for v in seeds) / max(due, 1):.1%}", f"{worst:.0%}",
-            f"{false / (6.0 * hours):.2f} ({false} in {hours:.1f} h)", str(sum(v.patches for v in seeds)),
+            f"{false / (6.0 * hours):.2f} ({false} in {hours:.1f} h)",
+            f"{sum(v.passing for v in seeds) / (6.0 * hours):.2f}", str(sum(v.patches for v in seeds)),
         )  # fmt: skip
     return made
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fbn_common.types import NS, Array, Mat3, Vec3
-from fbn_tracking.infants import profile, symmetric_inverse
+from fbn_tracking.geometry import world_point
+from fbn_tracking.infants import normal_equations, profile, symmetric_inverse
 from fbn_tracking.modes import Surroundings, half_lobe, misses_costs, place_costs, widened
 from fbn_tracking.track import Track
 
@@ -46,6 +47,23 @@ def elevation_posterior(track: Track, theta: float, around: Surroundings) -> Ele
     mean = weights @ points[1:]
     apart = points[1:] - mean
     return Elevation(mean - points[0], np.asarray(apart.T @ (weights[:, None] * apart)))
+
+
+def likelier_side(track: Track, q: Vec3, around: Surroundings) -> Vec3:
+    """``q`` (r, phi, theta), or the same at the other elevation where that costs less, the poses staying as they are.
+
+    Ranges hardly tell the two apart; floor, surface, misses and what stands on floors do.
+    """
+    first, detections = track.detections[0], track.detections
+    R, p = around.stack(d.look for d in detections)
+    sides = np.array([q, [q[0], q[1], -q[2]]])
+    t = np.array([(d.stamp_ns - first.stamp_ns) / NS for d in detections])
+    free, none = np.zeros((2, 2)), np.zeros((3, 3))
+    at_rest = [np.concatenate((side, np.zeros(2))) for side in sides]
+    energies = [normal_equations(x, R, p, t, widened(detections, around), free, np.zeros(3), none)[2] for x in at_rest]
+    points = np.array([world_point(R[0], p[0], side)[0] for side in sides])
+    prior = misses_costs(track.misses, points, around) + place_costs(points, 0.0, track, around)
+    return np.asarray(sides[np.argmin(0.5 * np.array(energies) + prior)])
 
 
 def told(root: Array, J: Array, row: int, place: slice, spread: Mat3) -> tuple[Array, Array, Mat3]:

@@ -56,12 +56,14 @@ class Nursery:
         """Move tracks to their likeliest places, given the poses; ask those that may graduate whether they move."""
         for track in tracks:
             track.modes = find_modes(track, around)
-            if track.memory is None and len(track.detections) >= self.parameters.infant.detections:
+            if track.memory is None and len(track.detections) >= self.parameters.infant.detections_at_end:
                 track.motion = of_track(track, around)
 
     def around(self, window: Window, drift_covariance: Mat3) -> Surroundings:
         """The poses as they now are."""
-        return Surroundings(window.poses(), window.pings, slack(window, drift_covariance), self.parameters.feature)
+        return Surroundings(
+            window.estimate.poses(), window.pings, slack(window, drift_covariance), self.parameters.feature
+        )
 
     def tend(self, window: Window, now_ns: int) -> None:
         """Graduate who is ready, delete who was not seen for long, retire features out of view."""
@@ -86,7 +88,7 @@ class Nursery:
         par, n = self.parameters.infant, len(track.detections)
         if track.memory is not None:
             return n >= (1 if expired else _AGAIN)
-        if n < par.detections or not track.modes or track.score < par.score:
+        if n < (par.detections_at_end if expired else par.detections) or not track.modes or track.score < par.score:
             return False
         mode = track.modes[0]
         undecided = len(track.modes) > 1 and n < par.detections + par.patience and not expired
@@ -121,7 +123,7 @@ class Nursery:
 
 def slack(window: Window, drift_covariance: Mat3) -> Mat2:
     """How far the drift may still be wrong, in the world's x and y [m^2/s^2]."""
-    return slack_covariance(drift_covariance, window.pose(window.last).matrix()[:2, 0])
+    return slack_covariance(drift_covariance, window.T(window.last)[:2, 0])
 
 
 def view_weight(z: Array, look: Look) -> float:

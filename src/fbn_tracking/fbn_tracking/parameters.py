@@ -60,10 +60,13 @@ class InfantParameters:
     lifetime: float = param(10.0, "s", "an infant unmatched for so long dies", "IROS 2007 V")
     clutter: float = param(5.0, "-", "false detections expected per array and ping", "assumed: five a ping")
     detections: int = param(7, "-", "least detections to graduate", "7 to 10 in practice, JOE 2013 IV-B")
-    sigma_horizontal: float = param(
-        0.4, "m", "largest horizontal sigma at graduation", "a fraction of the target spacing"
+    detections_at_end: int = param(
+        5, "-", "the same when it has left the view: more will not come", "half of ten looks are seen at 35 m"
     )
-    sigma_vertical: float = param(5.0, "m", "largest vertical sigma at graduation", "half lobe at 30 m")
+    sigma_horizontal: float = param(
+        0.5, "m", "largest horizontal sigma at graduation", "a fraction of the target spacing"
+    )
+    sigma_vertical: float = param(7.0, "m", "largest vertical sigma at graduation", "half lobe of 10 deg at 40 m")
     score: float = param(10.0, "-", "least log-likelihood ratio of target to clutter", "1 false in 22,000 candidates")
     static_probability: float = param(0.999, "-", "a static target passes the static-world test so often", "chi-square")
     still_probability: float = param(0.99, "-", "a static target passes the motion check so often", "chi-square")

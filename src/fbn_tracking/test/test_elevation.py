@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from synthetic_world import World, play, simulate
 
-from fbn_tracking.elevation import told
+from fbn_tracking.elevation import likelier_side, told
+from fbn_tracking.estimator import Tracking
+from fbn_tracking.geometry import observe
+from fbn_tracking.modes import Surroundings
 
 PLACE, ROW = slice(2, 5), 4  # outputs: two of others, then a place; variables: five, theta the last
 
@@ -56,3 +60,23 @@ def test_the_joint_stays_positive(system):
     root, J = system
     for size in (1e-6, 1.0, 1e6):
         assert np.linalg.eigvalsh(_covariance(root, J, size * np.diag([1.0, 0.1, 0.01])))[0] > 0.0
+
+
+def _around():
+    """One target a metre over the floor, seen from a level passage: its track, what surrounds it, its true place."""
+    target = np.array([30.0, 3.0, -4.0])
+    run = simulate(World(target[None], pitch=0.0, detection_probability=1.0, noise=0.0, drift=(0, 0, 0)), 14, 1017)
+    tracker = Tracking()
+    play(tracker, run)
+    (track,) = (t for t in tracker.tracks if t.memory is None)
+    window = tracker.window
+    around = Surroundings(window.estimate.poses(), window.pings, np.zeros((2, 2)), tracker.parameters.feature)
+    R, p = around.array(track.detections[0].look)
+    return track, around, observe(R, p, target)[0]
+
+
+def test_a_place_that_swung_over_the_lobes_middle_is_put_back_where_it_stands_on_the_floor():
+    track, around, q = _around()
+    mirrored = q * np.array([1.0, 1.0, -1.0])  # a metre from the surface instead of one from the floor
+    np.testing.assert_allclose(likelier_side(track, mirrored, around), q, atol=1e-12)
+    np.testing.assert_array_equal(likelier_side(track, q, around), q)

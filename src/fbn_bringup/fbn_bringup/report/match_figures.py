@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from fbn_bringup.report.overlay import DiveOverlay, hypothesis_lines, overlays
 from fbn_common import records as r
 from fbn_common.graph import GRAPH
 from fbn_common.sweep import CELL
+from fbn_common.types import Array
 
 STATES = {"UNMATCHED": st.MUTED, "MATCHED": st.GLOBAL.colour, "AMBIGUOUS": st.DEADRECK.colour, "LOST": st.TARGET.colour}
 
@@ -170,16 +172,31 @@ def _overlay_traces(o: DiveOverlay, visible: bool) -> list[Any]:
     return traces
 
 
+def fates(messages: Sequence[r.TrackedFeatures]) -> tuple[Array, Array]:
+    """How many infants were promoted, and how many deleted, up to each message (n,): those that are shown."""
+    promoted, deleted = np.zeros(len(messages)), np.zeros(len(messages))
+    young: set[int] = set()
+    for n, message in enumerate(messages):
+        infants = {f.key for f in message.features if f.stage == r.Stage.INFANT}
+        others = {f.key for f in message.features} - infants
+        promoted[n], deleted[n] = len(young & others), len(young - others - infants)
+        young = infants
+    return np.cumsum(promoted), np.cumsum(deleted)
+
+
 def tracking_figure(run: Run) -> go.Figure | None:
-    """Infants, features and retired features, with the detections per ping below."""
+    """Infants, features and retired features, what became of infants, and the detections per ping."""
     messages = run.of("tracking/features", r.TrackedFeatures)
     if not messages:
         return None
-    figure = make_subplots(
-        2, 1, shared_xaxes=True, vertical_spacing=0.12, subplot_titles=["tracked, by stage", "detections per ping"]
-    )
-    messages = [messages[i] for i in ly.thinned(len(messages))]
+    titles = ["tracked, by stage", "infants promoted and deleted so far", "detections per ping"]
+    figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.08, subplot_titles=titles)
+    kept = ly.thinned(len(messages))
+    counts_of = zip(("promoted", "deleted"), fates(messages), ("#009e73", "#d55e00"), strict=True)
+    messages = [messages[i] for i in kept]
     time = ly.minutes(run, np.array([m.stamp_ns for m in messages]))
+    for name, count, colour in counts_of:
+        figure.add_trace(line(time, count[kept], st.Look(name, colour), line_shape="hv"), 2, 1)
     for stage, colour in zip(r.Stage, ("#56b4e9", "#009e73", "#7b8794"), strict=True):
         counts = np.array([sum(f.stage == stage for f in m.features) for m in messages], dtype=float)
         figure.add_trace(line(time, counts, st.Look(stage.name.lower(), colour), line_shape="hv"), 1, 1)
@@ -191,11 +208,11 @@ def tracking_figure(run: Run) -> go.Figure | None:
             np.array([len(p.detections) for p in pings], dtype=float),
         )
         figure.add_trace(
-            go.Scatter(x=rounded(x), y=y, mode="markers", marker=dict(size=3, color=st.MUTED), showlegend=False), 2, 1
+            go.Scatter(x=rounded(x), y=y, mode="markers", marker=dict(size=3, color=st.MUTED), showlegend=False), 3, 1
         )
-    shade_dives(figure, run, 2)
-    figure.update_xaxes(title_text="minutes since start", row=2)
-    return legend_above(quiet_titles(styled(figure, 450)))
+    shade_dives(figure, run, 3)
+    figure.update_xaxes(title_text="minutes since start", row=3)
+    return legend_above(quiet_titles(styled(figure, 600)))
 
 
 def latency_figure(run: Run) -> go.Figure | None:
