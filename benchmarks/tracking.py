@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -28,6 +29,15 @@ from fbn_bringup.offline import Step
 from fbn_common.records import CompositeMeasurement, PingMotion, SonarDetections, TrackedFeatures
 from fbn_common.types import NS
 from fbn_testing.feature_runs import Heard, hear
+from fbn_testing.gtsam_window import (
+    DRIFT,
+    base_factors,
+    chain_factors,
+    feature_key,
+    pose_key,
+    track_factor,
+    values_of,
+)
 from fbn_tracking.estimator import Tracking
 from fbn_tracking.window import Window
 
@@ -49,22 +59,26 @@ class Times:
 
 
 class Peer:
-    """gtsam's fixed-lag smoother, given the window's own factors as they come; anchors are kept alive."""
+    """gtsam's fixed-lag smoother, given the measurements of our windows as they come; anchors are kept alive."""
 
     def __init__(self, times: Times) -> None:
         self.times = times
-        self.smoother = gtsam.IncrementalFixedLagSmoother(LAG_S)
         self.window: Window | None = None
+        self.smoother = gtsam.IncrementalFixedLagSmoother(LAG_S)
+        self.known: set[tuple[int, int, str]] = set()  # detections given: feature, ping, array
+        self.last = -1
 
-    def update(self, window: Window, factors: object, values: gtsam.Values, begins: bool) -> None:
-        """The same new factors and values; the first of a window starts anew and is not timed."""
-        if begins or window is not self.window:
-            self.smoother, self.window = gtsam.IncrementalFixedLagSmoother(LAG_S), window
-            factors, values, begins = window.graph(window.last), window.values, True
+    def update(self, window: Window) -> None:
+        """What is new in the window; the first of a window starts anew and is not timed."""
+        begins = window is not self.window
+        if begins:
+            self.window, self.last, self.known = window, window.first, set()
+            self.smoother = gtsam.IncrementalFixedLagSmoother(LAG_S)
+        factors, values = self._new(window, begins)
         now = window.pings[window.last].stamp_ns / NS
         stamps = dict.fromkeys(values.keys(), now)
-        for i in range(factors.size()):  # type: ignore[attr-defined]
-            stamps |= dict.fromkeys(factors.at(i).keys(), now)  # type: ignore[attr-defined]
+        for i in range(factors.size()):
+            stamps |= dict.fromkeys(factors.at(i).keys(), now)
         dated = gtsam.FixedLagSmootherKeyTimestampMap()
         for pair in stamps.items():
             dated.insert(pair)
@@ -79,6 +93,26 @@ class Peer:
         if not begins:
             self.times.peer.append(time.thread_time() - began)
 
+    def _new(self, window: Window, begins: bool) -> tuple[Any, gtsam.Values]:
+        factors, values, ours = gtsam.NonlinearFactorGraph(), gtsam.Values(), values_of(window)
+        pings = list(window.pings.values())
+        added = [p for p in pings if p.index > self.last]
+        for factor in (*(base_factors(window.base, pings[0]) if begins else ()), *chain_factors(added)):
+            factors.add(factor)
+        keys = [pose_key(p.index) for p in (pings if begins else added)] + [DRIFT] * begins
+        for track in window.features.values():
+            known = {k for k in self.known if k[0] == track.key}
+            keys += [] if known else [feature_key(track.key)]
+            for d in track.detections:
+                name = (track.key, d.index, d.look.array)
+                if name not in known:
+                    self.known.add(name)
+                    factors.add(track_factor(track, d, window.weak_theta_sigma))
+        for key in keys:
+            values.insert(key, ours.atPose3(key) if gtsam.symbolChr(key) == ord("x") else ours.atPoint3(key))
+        self.last = window.last
+        return factors, values
+
 
 @contextmanager
 def beside(times: Times) -> Iterator[None]:
@@ -86,12 +120,10 @@ def beside(times: Times) -> Iterator[None]:
     peer, own = Peer(times), Window.update
 
     def update(window: Window) -> None:
-        factors, values, begins = window._new_factors, window._new_values, window._isam is None
         began = time.thread_time()
         own(window)
-        if not begins:
-            times.smoother.append(time.thread_time() - began)
-        peer.update(window, factors, values, begins)
+        times.smoother.append(time.thread_time() - began)
+        peer.update(window)
 
     Window.update = update  # type: ignore[method-assign]
     try:

@@ -72,7 +72,7 @@ def _off_lobe(story: list[Moment]) -> float:
 
 def _moment(window: Window, track: Track, feature: FeatureParameters, simulation: Simulation) -> Moment:
     echoes = [
-        world_point(*array_pose(window.pose(d.index), d.look.mount), np.array([*d.z[:2], 0.0]))[0]
+        world_point(*array_pose(window.T(d.index), d.look.mount), np.array([*d.z[:2], 0.0]))[0]
         for d in track.detections
     ]
     modes = [mode.point for mode in track.modes]
@@ -85,12 +85,12 @@ def _moment(window: Window, track: Track, feature: FeatureParameters, simulation
 
 def _smoothed(window: Window, track: Track, feature: FeatureParameters) -> Vec3:
     """Where the tracker shows it."""
-    return np.asarray(cartesian_feature(window.pose(track.anchor).matrix(), track, sided(window, track, feature))[0])
+    return np.asarray(cartesian_feature(window.T(track.anchor), track, sided(window, track, feature))[0])
 
 
 def _nearest_truth(window: Window, point: Vec3, simulation: Simulation) -> Vec3:
     """The true feature nearest to ``point``, carried along with the vehicle from where it is to where it is thought."""
-    motion, T = simulation.truth.at(window.pings[window.last].stamp_ns), window.pose(window.last).matrix()
+    motion, T = simulation.truth.at(window.pings[window.last].stamp_ns), window.T(window.last)
     R = T[:3, :3] @ matrix_from_quaternion(motion.orientation[0]).T
     carried = T[:3, 3] + (simulation.truth.features.positions - motion.position[0]) @ R.T
     return np.asarray(carried[np.argmin(np.hypot(*(carried - point).T[:2]))])

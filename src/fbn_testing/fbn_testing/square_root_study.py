@@ -24,8 +24,8 @@ from rich.table import Table
 
 from fbn_common.types import Array
 from fbn_testing.feature_runs import Heard, hear, tracker_of
+from fbn_testing.gtsam_window import DRIFT, feature_key, graph_of, pose_key, values_of
 from fbn_testing.square_root import Conditions, Errors, conditions, errors, inverse, reference_corner
-from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.window import Window
 
 console = Console(highlight=False, width=150)
@@ -76,7 +76,7 @@ def linearised(window: Window) -> System:
     ordering = gtsam.Ordering()
     for key in (*(pose_key(i) for i in window.pings if i not in kept_poses), *kept):
         ordering.push_back(key)
-    A, _ = window.graph(window.last, curved=False).linearize(window.values).jacobian(ordering)
+    A, _ = graph_of(window).linearize(values_of(window)).jacobian(ordering)
     rows = np.ascontiguousarray(A[np.any(A, axis=1)])
     features = 3 * len(window.features)
     return System(rows, 6 * len(kept_poses) + 3 + features, np.asarray(np.any(rows[:, -features:], axis=1)))

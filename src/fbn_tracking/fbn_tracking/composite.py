@@ -7,27 +7,25 @@ known of it from there enters as a stated prior, to be divided out again by who 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 
 from fbn_common.lie import rpy_from_matrix, rpy_jacobian
 from fbn_common.records import CompositeFeature, CompositeMeasurement
 from fbn_common.types import Array, Vec2
 from fbn_tracking.elevation import Elevation, elevation_posterior, told
-from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.gating import beam_weights
 from fbn_tracking.geometry import cartesian_jacobian, cross_matrix, finite_slope
 from fbn_tracking.heading import turned, turned_prior
 from fbn_tracking.modes import Surroundings, find_modes
 from fbn_tracking.parameters import FeatureParameters
-from fbn_tracking.solver import Solution, solve, square_root_covariance
+from fbn_tracking.solver import Solution, solve
 from fbn_tracking.swept import swept_area
+from fbn_tracking.system import Estimate, State, System
 from fbn_tracking.track import Look, Ping, Track, stack_poses
-from fbn_tracking.window import Window, theta_curvature
+from fbn_tracking.window import Window
 
 _FLIPPED = 0.05  # rad: elevations that differ less are the same
 
@@ -43,14 +41,14 @@ class Part:
     window: Window
     pings: dict[int, Ping]
     tracks: list[Track]  # with a detection in this part
-    poses: dict[int, gtsam.Pose3]
+    estimate: Estimate
     mean: Array
     covariance: Array
 
     @property
     def base_xy(self) -> Vec2:
         """Of the window's own world [m]."""
-        return np.asarray(self.poses[self.window.first].translation()[:2])
+        return np.asarray(self.estimate.T(self.window.first)[:2, 3])
 
 
 def marginalise(window: Window, last: int, slack: Array, feature: FeatureParameters) -> Part:
@@ -59,24 +57,24 @@ def marginalise(window: Window, last: int, slack: Array, feature: FeatureParamet
     Raises RuntimeError where the system is indeterminate.
     """
     pings = {index: ping for index, ping in window.pings.items() if index <= last}
-    tracks = [old_part(track, last) for track in window.features.values() if track.anchor <= last]
-    values = part_values(window, last, tracks)
-    flip_unlikely(values, tracks, pings, slack, feature)
-    solution = _solve(window, last, tracks, values)
-    swung = [t for t in tracks if abs(theta_of(solution.values, t) - theta_of(values, t)) > _FLIPPED]
-    if flip_unlikely(solution.values, swung, pings, slack, feature):
-        solution = _solve(window, last, tracks, solution.values)
-    poses = {i: solution.values.atPose3(pose_key(i)) for i in pings}
+    system, rows = window.system.part(len(pings))
+    features = list(window.features.values())
+    tracks = [old_part(features[row], last) for row in rows]
+    whole = window.estimate.state
+    state = State(whole.T[: len(pings)], whole.drift, whole.q[rows])
+    names = {track.key: row for row, track in enumerate(tracks)}
+    start = flip_unlikely(Estimate(state, window.first, names), tracks, pings, slack, feature)
+    solution, estimate = _solve(system, start)
+    swung = [t for t in tracks if abs(estimate.q(t.key)[2] - start.q(t.key)[2]) > _FLIPPED]
+    again = flip_unlikely(estimate, swung, pings, slack, feature)
+    if again is not estimate:
+        solution, estimate = _solve(system, again)
+    poses = estimate.poses()
     around = Surroundings(poses, pings, slack, feature)
     cubic = [t for t in tracks if feature.elevation == "cubic"]  # the linear model's is the Gaussian that it says
-    elevations = [elevation_posterior(t, theta_of(solution.values, t), around) for t in cubic]
-    mean, covariance = reduce(solution, window.first, last, tracks, elevations)
-    return Part(window, pings, tracks, poses, mean, covariance)
-
-
-def theta_of(values: gtsam.Values, track: Track) -> float:
-    """A feature's smoothed angle around the axis [rad]."""
-    return float(values.atPoint3(feature_key(track.key))[2])
+    elevations = [elevation_posterior(t, float(estimate.q(t.key)[2]), around) for t in cubic]
+    mean, covariance = reduce(solution, estimate, last, tracks, elevations)
+    return Part(window, pings, tracks, estimate, mean, covariance)
 
 
 def old_part(track: Track, last: int) -> Track:
@@ -88,54 +86,37 @@ def old_part(track: Track, last: int) -> Track:
     )
 
 
-def part_values(window: Window, last: int, tracks: list[Track]) -> gtsam.Values:
-    """The window's estimate of what belongs to the part."""
-    values, source = gtsam.Values(), window.values
-    for index in (i for i in window.pings if i <= last):
-        values.insert(pose_key(index), source.atPose3(pose_key(index)))
-    values.insert(DRIFT, source.atPoint3(DRIFT))
-    for track in tracks:
-        values.insert(feature_key(track.key), source.atPoint3(feature_key(track.key)))
-    return values
-
-
-def _solve(window: Window, last: int, tracks: list[Track], start: gtsam.Values) -> Solution:
-    return solve(window.graph(last, curved=False), start, partial(theta_curvature, tracks))
+def _solve(system: System, start: Estimate) -> tuple[Solution, Estimate]:
+    solution = solve(system, start.state, (0, system.motion.size - 1), exact=True)
+    return solution, replace(start, state=solution.state)
 
 
 def flip_unlikely(
-    values: gtsam.Values, tracks: list[Track], pings: dict[int, Ping], slack: Array, feature: FeatureParameters
-) -> bool:
-    """Move features to the likelier elevation, given these poses; whether any was moved."""
-    around = Surroundings({i: values.atPose3(pose_key(i)) for i in pings}, pings, slack, feature)
-    flipped = [flip(values, track, find_modes(track, around)[0].x[:3]) for track in tracks]
-    return any(flipped)
-
-
-def flip(values: gtsam.Values, track: Track, q: Array) -> bool:
-    """Move a feature whose smoothed elevation is on the unlikelier side to the likelier one; whether it was moved."""
-    key = feature_key(track.key)
-    now = values.atPoint3(key)
-    if now[2] * q[2] >= 0.0 or abs(now[2] - q[2]) < _FLIPPED:
-        return False
-    values.update(key, np.array([now[0], now[1], q[2]]))
-    return True
+    estimate: Estimate, tracks: list[Track], pings: dict[int, Ping], slack: Array, feature: FeatureParameters
+) -> Estimate:
+    """With features moved to the likelier elevation, given these poses; the same estimate if there are none."""
+    around, q = Surroundings(estimate.poses(), pings, slack, feature), estimate.state.q.copy()
+    for track in tracks:
+        row, likeliest = estimate.rows[track.key], find_modes(track, around)[0].x[2]
+        if q[row, 2] * likeliest < 0.0 and abs(q[row, 2] - likeliest) >= _FLIPPED:
+            q[row, 2] = likeliest
+    moved = bool((q != estimate.state.q).any())
+    return replace(estimate, state=estimate.state._replace(q=q)) if moved else estimate
 
 
 def reduce(
-    solution: Solution, first: int, last: int, tracks: list[Track], elevations: Sequence[Elevation | None] = ()
+    solution: Solution, estimate: Estimate, last: int, tracks: list[Track], elevations: Sequence[Elevation | None] = ()
 ) -> tuple[Array, Array]:
     """Mean and covariance of a part's outputs, by the square root of the joint of the variables behind them.
 
     ``elevations``: of each track, where its place over all elevations is known better than the graph holds it.
     """
-    values = solution.values
+    first = estimate.first
     indices = list(dict.fromkeys([first, last, *(t.anchor for t in tracks)]))
-    keys = [*map(pose_key, indices), DRIFT, *(feature_key(t.key) for t in tracks)]
-    root = square_root_covariance(solution.linear, keys)
+    root = solution.root(solution.layout.columns([i - first for i in indices], range(len(tracks))))
     offset = {index: 6 * n for n, index in enumerate(indices)}
     n_drift = 6 * len(indices)
-    poses = {index: values.atPose3(pose_key(index)).matrix() for index in indices}
+    poses = {index: estimate.T(index) for index in indices}
     mean, J = np.empty(13 + 3 * len(tracks)), np.zeros((13 + 3 * len(tracks), len(root)))
     base, p2 = offset[first], offset[last]
     mean[0], mean[1:4] = poses[first][2, 3], rpy_from_matrix(np.ascontiguousarray(poses[first][:3, :3]))
@@ -144,11 +125,11 @@ def reduce(
     J[4:10, p2 : p2 + 6] = pose_rows(poses[last])
     for n, track in enumerate(tracks):
         rows, at, f = slice(10 + 3 * n, 13 + 3 * n), offset[track.anchor], n_drift + 3 + 3 * n
-        q = values.atPoint3(feature_key(track.key))
+        q = estimate.q(track.key)
         mean[rows], J[rows, at : at + 6], by_q = cartesian_feature(poses[track.anchor], track, q)
         by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt((root[f + 2] ** 2).sum())))
         J[rows, f : f + 3] = by_q
-    mean[-3:], J[-3:, n_drift : n_drift + 3] = values.atPoint3(DRIFT), np.eye(3)
+    mean[-3:], J[-3:, n_drift : n_drift + 3] = estimate.state.drift, np.eye(3)
     for row in [4, 5, *(10 + 3 * n + axis for n in range(len(tracks)) for axis in (0, 1))]:
         axis = (row - 4) % 3 if row < 10 else (row - 10) % 3
         mean[row] -= poses[first][axis, 3]
@@ -165,7 +146,7 @@ def reduce(
 
 
 def pose_rows(T: Array) -> Array:
-    """Derivative (6, 6) of x, y, z, roll, pitch, yaw by gtsam's pose tangent."""
+    """Derivative (6, 6) of x, y, z, roll, pitch, yaw by the pose's tangent (rotation, translation, in the body)."""
     rows = np.zeros((6, 6))
     rows[:3, 3:] = T[:3, :3]
     rows[3:, :3] = rpy_jacobian(rpy_from_matrix(np.ascontiguousarray(T[:3, :3])))
@@ -194,7 +175,7 @@ def compose(part: Part, sequence: int, cell_size: float, frame_id: str) -> Compo
     first, last = pings[0], pings[-1]
     base = part.window.base
     looks = [look for ping in pings if ping is not first or base.fresh for look in ping.looks]
-    R, p = stack_poses(looks, part.poses)
+    R, p = stack_poses(looks, part.estimate.poses())
     limits = [look.limits for look in looks]
     return CompositeMeasurement(
         stamp_ns=last.stamp_ns,
@@ -203,7 +184,7 @@ def compose(part: Part, sequence: int, cell_size: float, frame_id: str) -> Compo
         start_ns=first.stamp_ns,
         first=base.fresh,
         pings=len(pings),
-        distance_travelled=travelled(part.poses),
+        distance_travelled=travelled(part.estimate.state.T),
         drift_time_constant=last.motion.drift_time_constant,
         features=tuple(_feature(track, part, looks, R, p) for track in part.tracks),
         swept=swept_area(list(zip(R, p, limits, strict=True)), part.base_xy, cell_size),
@@ -216,10 +197,9 @@ def compose(part: Part, sequence: int, cell_size: float, frame_id: str) -> Compo
     )
 
 
-def travelled(poses: Mapping[int, gtsam.Pose3]) -> float:
-    """Length of the path [m]."""
-    xyz = np.array([pose.translation() for pose in poses.values()])
-    return float(np.linalg.norm(np.diff(xyz, axis=0), axis=1).sum())
+def travelled(T: Array) -> float:
+    """Length of the path along poses (n, 4, 4) [m]."""
+    return float(np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum())
 
 
 def _feature(track: Track, part: Part, looks: list[Look], R: Array, p: Array) -> CompositeFeature:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import gtsam
 import numpy as np
 
 from fbn_common.lie import matrix_from_quaternion, quaternion_from_matrix
-from fbn_common.types import Array
+from fbn_common.types import Array, Mat4
 from fbn_tracking.composite import Part, marginalise
-from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.nursery import Nursery, slack
 from fbn_tracking.parameters import CompositeParameters, TrackingParameters
 from fbn_tracking.track import Memory, Track
@@ -38,7 +36,7 @@ def cut(window: Window, last: int, nursery: Nursery, par: TrackingParameters) ->
     """
     part = marginalise(window, last, slack(window, window.base.covariance[4:, 4:]), par.feature)
     young = Window(handover(part, last), {i: p for i, p in window.pings.items() if i >= last}, window.weak_theta_sigma)
-    young.start(carried_values(window, part, last))
+    young.start(carried_poses(window, part, last), window.drift())
     numbers = {track.key: n for n, track in enumerate(part.tracks)}
     for track in window.features.values():
         carry(window, young, track, last, part, numbers.get(track.key), nursery)
@@ -59,25 +57,22 @@ def handover(part: Part, last: int) -> Base:
     covariance[4:, 4:] = drift_prior(part.pings[last].motion)
     mean = np.concatenate((part.mean[6:10], np.zeros(3)))
     return Base(
-        orthonormal(part.poses[last]), mean, 0.5 * (covariance + covariance.T), False, part.window.base.deviation
+        orthonormal(part.estimate.T(last)), mean, 0.5 * (covariance + covariance.T), False, part.window.base.deviation
     )
 
 
-def carried_values(window: Window, part: Part, last: int) -> gtsam.Values:
-    """Initial values of the young window: its poses as they were, moved along with P2."""
-    values = gtsam.Values()
-    values.insert(DRIFT, window.drift())
-    move = part.poses[last].compose(window.pose(last).inverse())
-    for index in (i for i in window.pings if i >= last):
-        pose = part.poses[last] if index == last else move.compose(window.pose(index))
-        values.insert(pose_key(index), orthonormal(pose))
-    return values
+def carried_poses(window: Window, part: Part, last: int) -> Array:
+    """Initial poses (n, 4, 4) of the young window: as they were, moved along with P2."""
+    old = window.estimate.state.T[last - window.first :]
+    move = part.estimate.T(last) @ np.linalg.inv(old[0])
+    return np.array([orthonormal(move @ T) for T in old])
 
 
-def orthonormal(pose: gtsam.Pose3) -> gtsam.Pose3:
+def orthonormal(T: Mat4) -> Mat4:
     """The pose with its rotation made exact again: rounding grows with every product, from window to window."""
-    R = np.ascontiguousarray(pose.rotation().matrix())
-    return gtsam.Pose3(gtsam.Rot3(matrix_from_quaternion(quaternion_from_matrix(R))), pose.translation())
+    out = T.copy()
+    out[:3, :3] = matrix_from_quaternion(quaternion_from_matrix(np.ascontiguousarray(T[:3, :3])))
+    return out
 
 
 def carry(
@@ -85,7 +80,7 @@ def carry(
 ) -> None:
     """A feature into the young window: as it is if wholly young, else with its young detections and a memory."""
     if number is None:
-        young.add_feature(track, window.values.atPoint3(feature_key(track.key)))
+        young.add_feature(track, window.estimate.q(track.key))
         return
     detections = [d for d in track.detections if d.index > last]
     if track.retired and not detections:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import ClassVar
 
-import gtsam
 import numpy as np
 
 from fbn_common.estimator import Health, Level, Output
-from fbn_common.lie import matrix_from_quaternion
 from fbn_common.records import Innovation, PingMotion, Record, SonarDetections, TrackedFeatures, Verdict
 from fbn_common.types import NS, nanoseconds
 from fbn_tracking.composite import compose
@@ -21,7 +19,7 @@ from fbn_tracking.parameters import TrackingParameters
 from fbn_tracking.publish import tracked_features
 from fbn_tracking.rehearsal import rehearsal
 from fbn_tracking.scan import Scanner
-from fbn_tracking.track import Detection, Track, first_ping, make_look, next_ping
+from fbn_tracking.track import Detection, Track, first_ping, make_look, next_ping, pose_matrix
 from fbn_tracking.warm_up import warm_up
 from fbn_tracking.window import Base, Window, drift_prior
 
@@ -88,7 +86,7 @@ class Tracking:
         self._intake.answers = [*answers, refusal("clock", now_ns, Verdict.REFUSED, "the clock jumped back: reset")]
 
     def health(self) -> Health:
-        """Counters, and whether the smoother had to be rebuilt."""
+        """Counters, and whether the smoother failed."""
         window = self._window
         values: dict[str, int | float | str] = dict(sorted(self._counts.items()))
         values |= dict(sorted(self._nursery.counts.items()))
@@ -97,8 +95,8 @@ class Tracking:
             return Health(Level.STALE, "no ping has come yet", values)
         values |= {"window_pings": len(window.pings), "infants": len(self._nursery.infants)}
         values |= {"features": len(window.features)}
-        if self._counts["rebuilds"]:
-            return Health(Level.WARN, f"smoother rebuilt {self._counts['rebuilds']} times", values)
+        if self._counts["smoother_failures"]:
+            return Health(Level.WARN, f"smoother failed {self._counts['smoother_failures']} times", values)
         return Health(Level.OK, f"{len(window.features)} features, {len(self._nursery.infants)} infants", values)
 
     @property
@@ -160,19 +158,16 @@ class Tracking:
     def _start(self, motion: PingMotion) -> Window:
         deviation = deviation_variance(motion.earth_covariance, motion.heading_deviation)
         ping = first_ping(motion, deviation)
-        pose = gtsam.Pose3(gtsam.Rot3(matrix_from_quaternion(motion.pose.orientation)), motion.pose.position)
         mean = np.concatenate((motion.earth, np.zeros(3)))
         covariance = np.diag(np.concatenate((_WIDE**2, np.zeros(3))))
         covariance[4:, 4:] = drift_prior(motion)
-        base = Base(pose, mean, covariance, True, deviation)
-        window = Window(base, {ping.index: ping}, self.parameters.feature.weak_theta_sigma)
-        window.start()
-        return window
+        base = Base(pose_matrix(motion.pose), mean, covariance, True, deviation)
+        return Window(base, {ping.index: ping}, self.parameters.feature.weak_theta_sigma)
 
     def _smooth(self, window: Window) -> None:
         before = window.failures
         window.update()
-        self._counts["rebuilds"] += window.failures - before
+        self._counts["smoother_failures"] += window.failures - before
 
     # --- scans ---
 

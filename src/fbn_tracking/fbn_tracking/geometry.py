@@ -102,6 +102,45 @@ def cross_matrix(v: Vec3, m: Mat3) -> Mat3:
 
 
 @kernel
+def carried(T: Array, x: Vec3) -> Vec3:
+    """``T x``: a point of a frame in its parent's, by the pose (4, 4)."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = T[i, 3] + T[i, 0] * x[0] + T[i, 1] * x[1] + T[i, 2] * x[2]
+    return out
+
+
+@kernel
+def brought(T: Array, x: Vec3) -> Vec3:
+    """``T^-1 x``: the other way."""
+    a, b, c = x[0] - T[0, 3], x[1] - T[1, 3], x[2] - T[2, 3]
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = T[0, i] * a + T[1, i] * b + T[2, i] * c
+    return out
+
+
+@kernel
+def times(d: Mat3, T: Array) -> Mat3:
+    """``d R`` with the rotation of a pose (4, 4), or any matrix of three rows."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = d[i, 0] * T[0, j] + d[i, 1] * T[1, j] + d[i, 2] * T[2, j]
+    return out
+
+
+@kernel
+def times_transposed(d: Mat3, T: Array) -> Mat3:
+    """``d R^T``."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = d[i, 0] * T[j, 0] + d[i, 1] * T[j, 1] + d[i, 2] * T[j, 2]
+    return out
+
+
+@kernel
 def anchored_observation(
     T_anchor: Array, T_pose: Array, mount_anchor: Array, mount: Array, q: Vec3
 ) -> tuple[Vec3, Array, Array, Mat3]:
@@ -110,15 +149,13 @@ def anchored_observation(
     Poses and mounts are 4 x 4 (base in world, array in base).  Pose derivatives (3, 6) are by gtsam's tangent:
     rotation then translation, both in the body frame, perturbing on the right.
     """
-    R_a, R_j = T_anchor[:3, :3].copy(), T_pose[:3, :3].copy()
-    M_a, M_j = mount_anchor[:3, :3].copy(), mount[:3, :3].copy()
     c, dc = cartesian_jacobian(q)
-    y_a = mount_anchor[:3, 3] + M_a @ c
-    y_j = R_j.T @ (T_anchor[:3, 3] + R_a @ y_a - T_pose[:3, 3])
-    z, d_s = polar_jacobian(M_j.T @ (y_j - mount[:3, 3]))
-    d_y = d_s @ M_j.T
-    d_a = d_y @ (R_j.T @ R_a)
+    y_a = carried(mount_anchor, c)
+    y_j = brought(T_pose, carried(T_anchor, y_a))
+    z, d_s = polar_jacobian(brought(mount, y_j))
+    d_y = times_transposed(d_s, mount)
+    d_a = times(times_transposed(d_y, T_pose), T_anchor)
     by_anchor, by_pose = np.empty((3, 6)), np.empty((3, 6))
     by_anchor[:, :3], by_anchor[:, 3:] = -cross_matrix(y_a, d_a), d_a
     by_pose[:, :3], by_pose[:, 3:] = cross_matrix(y_j, d_y), -d_y
-    return z, by_anchor, by_pose, d_a @ (M_a @ dc)
+    return z, by_anchor, by_pose, times(times(d_a, mount_anchor), dc)

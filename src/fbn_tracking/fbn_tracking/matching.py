@@ -9,12 +9,24 @@ import numpy as np
 
 from fbn_common.types import NS, Array
 from fbn_tracking.assignment import assign
-from fbn_tracking.factors import DRIFT, feature_key, pose_key
 from fbn_tracking.gating import pair_costs, predict_points
 from fbn_tracking.geometry import anchored_observation, u_from_theta
 from fbn_tracking.modes import heading_bound
 from fbn_tracking.track import Detection, Look, Track, array_pose
 from fbn_tracking.window import Window
+
+Key = tuple[str, int]
+DRIFT: Key = ("drift", 0)
+
+
+def pose_key(index: int) -> Key:
+    """Name of the pose of ping ``index`` in a joint covariance."""
+    return ("pose", index)
+
+
+def feature_key(key: int) -> Key:
+    """Name of a feature in a joint covariance."""
+    return ("feature", key)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +55,7 @@ class Joint:
     """Joint covariance of a pose, its features and their anchors; offsets by key."""
 
     covariance: Array
-    offset: dict[int, int]
+    offset: dict[Key, int]
 
     @classmethod
     def of(cls, window: Window, index: int, tracks: list[Track]) -> Joint:
@@ -56,7 +68,8 @@ class Joint:
         keys = [*map(pose_key, anchors), DRIFT, *(feature_key(t.key) for t in tracks)]
         sizes = [6] * len(anchors) + [3] * (1 + len(tracks))
         starts = np.concatenate(([0], np.cumsum(sizes)[:-1]))
-        joint = cls(window.joint(keys), {k: int(s) for k, s in zip(keys, starts, strict=True)})
+        covariance = window.joint(index - fresh, tracks)
+        joint = cls(covariance, {k: int(s) for k, s in zip(keys, starts, strict=True)})
         return joint.propagated(window, index) if fresh else joint
 
     def propagated(self, window: Window, index: int) -> Joint:
@@ -69,7 +82,7 @@ class Joint:
         covariance[n:, n:] += Q
         return Joint(covariance, {**self.offset, pose_key(index): n})
 
-    def block(self, keys: list[int], sizes: list[int]) -> Array:
+    def block(self, keys: list[Key], sizes: list[int]) -> Array:
         """Covariance of some of the variables, in this order."""
         at = np.concatenate([np.arange(self.offset[k], self.offset[k] + n) for k, n in zip(keys, sizes, strict=True)])
         return np.asarray(self.covariance[np.ix_(at, at)])
@@ -78,8 +91,8 @@ class Joint:
 def predict_feature(window: Window, track: Track, look: Look, joint: Joint) -> Prediction:
     """A feature of the graph as a look should see it, with the full joint uncertainty."""
     first, kx, ka, kf = track.detections[0], pose_key(look.index), pose_key(track.anchor), feature_key(track.key)
-    T_a, T_j = window.values.atPose3(ka).matrix(), window.values.atPose3(kx).matrix()
-    s, H_a, H_j, H_f = anchored_observation(T_a, T_j, first.look.mount, look.mount, window.values.atPoint3(kf))
+    T_a, T_j, q = window.T(track.anchor), window.T(look.index), window.estimate.q(track.key)
+    s, H_a, H_j, H_f = anchored_observation(T_a, T_j, first.look.mount, look.mount, q)
     if ka == kx:
         H, P = np.hstack((H_a + H_j, H_f)), joint.block([ka, kf], [6, 3])
     else:
@@ -99,7 +112,7 @@ def predict_infants(window: Window, tracks: list[Track], look: Look) -> list[Pre
     t = np.array([(ping.stamp_ns - window.pings[i].stamp_ns) / NS for i in since])
     extra = np.abs(np.array([ping.travelled - window.pings[i].travelled for i in since]))
     extra[:, 1] = np.minimum(extra[:, 1], heading_bound(ping))
-    R, p = array_pose(window.pose(look.index), look.mount)
+    R, p = array_pose(window.T(look.index), look.mount)
     points, slack = np.array([m.point for _, m in pairs]), np.array([m.x[3:] for _, m in pairs])
     covariance = np.array([m.covariance for _, m in pairs])
     z, S = predict_points(points, slack, covariance, t, extra, R, p, look.limits[4], look.limits[5])

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-import gtsam
 import numpy as np
 
-from fbn_common.types import NS, Array, Mat2, Mat3, Vec3
+from fbn_common.types import NS, Array, Mat2, Mat3, Mat4, Vec3
 from fbn_tracking.gating import missed_costs
 from fbn_tracking.geometry import observe
 from fbn_tracking.infants import fit, normal_equations, spread, symmetric_inverse
@@ -29,7 +28,7 @@ _MEMORY_SLACK = 0.05**2 * np.eye(3)  # m^2: a target's own size
 class Surroundings:
     """What the poses say while a track is examined; poses by ping index, slack covariance of the drift."""
 
-    poses: Mapping[int, gtsam.Pose3]
+    poses: Mapping[int, Mat4]
     pings: Mapping[int, Ping]
     slack: Mat2
     feature: FeatureParameters
@@ -127,7 +126,7 @@ def place_costs(points: Array, variance: float, track: Track, around: Surroundin
     pose, ping = around.poses[index], around.pings[index]
     cost = 0.5 * np.maximum(0.0, z) ** 2 / (par.surface_margin**2 + variance)
     if ping.sees_floor:
-        height = z - pose.z() + ping.motion.altitude
+        height = z - pose[2, 3] + ping.motion.altitude
         cost += 0.5 * np.minimum(0.0, height) ** 2 / (par.floor_margin**2 + ping.motion.altitude_variance + variance)
         return np.asarray(cost + np.log1p((np.maximum(0.0, height) / par.height_scale) ** 2))
     _, at = around.array(track.detections[0].look)

@@ -61,7 +61,9 @@ class Nursery:
 
     def around(self, window: Window, drift_covariance: Mat3) -> Surroundings:
         """The poses as they now are."""
-        return Surroundings(window.poses(), window.pings, slack(window, drift_covariance), self.parameters.feature)
+        return Surroundings(
+            window.estimate.poses(), window.pings, slack(window, drift_covariance), self.parameters.feature
+        )
 
     def tend(self, window: Window, now_ns: int) -> None:
         """Graduate who is ready, delete who was not seen for long, retire features out of view."""
@@ -121,7 +123,7 @@ class Nursery:
 
 def slack(window: Window, drift_covariance: Mat3) -> Mat2:
     """How far the drift may still be wrong, in the world's x and y [m^2/s^2]."""
-    return slack_covariance(drift_covariance, window.pose(window.last).matrix()[:2, 0])
+    return slack_covariance(drift_covariance, window.T(window.last)[:2, 0])
 
 
 def view_weight(z: Array, look: Look) -> float:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import gtsam
 import numpy as np
 
-from fbn_common.lie import matrix_from_quaternion
 from fbn_common.records import Stage, TrackedFeature, TrackedFeatures
-from fbn_common.types import Array, Vec3
+from fbn_common.types import Array, Mat4, Vec3
 from fbn_tracking.composite import cartesian_feature, elevation_scale
 from fbn_tracking.elevation import likelier_side
-from fbn_tracking.factors import feature_key, pose_key
-from fbn_tracking.matching import Joint
+from fbn_tracking.matching import Joint, feature_key, pose_key
 from fbn_tracking.modes import Surroundings
 from fbn_tracking.nursery import Nursery
 from fbn_tracking.parameters import FeatureParameters
-from fbn_tracking.track import Track
+from fbn_tracking.track import Track, pose_matrix
 from fbn_tracking.window import Window
 
 _SHOWN = 2  # detections from which an infant is worth showing
@@ -26,28 +23,27 @@ def tracked_features(
 ) -> TrackedFeatures:
     """All features of the window and the infants seen more than once, relative to the vehicle, carried to odom."""
     motion = window.pings[window.last].motion
-    T_odom_base = gtsam.Pose3(gtsam.Rot3(matrix_from_quaternion(motion.pose.orientation)), motion.pose.position)
-    move = T_odom_base.compose(window.pose(window.last).inverse())
+    move = pose_matrix(motion.pose) @ np.linalg.inv(window.T(window.last))
     shown = [_feature(window, track, nursery.parameters.feature, joint, move) for track in window.features.values()]
     young = sorted(nursery.infants.values(), key=lambda t: t.key)
     shown += [_infant(t, move) for t in young if t.modes and (t.seen >= _SHOWN or t.memory is not None)]
     return TrackedFeatures(motion.stamp_ns, frame_id, pings, tuple(shown))
 
 
-def _record(track: Track, stage: Stage, point: Array, covariance: Array, move: gtsam.Pose3) -> TrackedFeature:
-    R = move.rotation().matrix()
+def _record(track: Track, stage: Stage, point: Array, covariance: Array, move: Mat4) -> TrackedFeature:
+    R = move[:3, :3]
     return TrackedFeature(
         track.key,
         stage,
         track.seen,
         track.first_seen_ns,
         track.last_seen_ns,
-        np.asarray(move.transformFrom(point)),
+        R @ point + move[:3, 3],
         R @ covariance @ R.T,
     )
 
 
-def _infant(track: Track, move: gtsam.Pose3) -> TrackedFeature:
+def _infant(track: Track, move: Mat4) -> TrackedFeature:
     mode = track.modes[0]
     stage = Stage.FEATURE if track.memory is not None else Stage.INFANT
     return _record(track, stage, mode.point, mode.covariance[:3, :3], move)
@@ -56,21 +52,21 @@ def _infant(track: Track, move: gtsam.Pose3) -> TrackedFeature:
 def sided(window: Window, track: Track, feature: FeatureParameters) -> Vec3:
     """A feature's r, phi, theta, on the likelier side where the smoother has swung off the one it graduated on.
 
-    The graph holds neither floor nor surface, so that nothing but ranges keeps it there; composites choose anew.
+    The system holds neither floor nor surface, so that nothing but ranges keeps it there; composites choose anew.
     """
-    q = np.asarray(window.values.atPoint3(feature_key(track.key)))
+    q = window.estimate.q(track.key)
     swung = bool(track.modes) and q[2] * track.modes[0].x[2] < 0.0
     if not swung or feature.elevation != "cubic":
         return q
-    return likelier_side(track, q, Surroundings(window.poses(), window.pings, np.zeros((2, 2)), feature))
+    return likelier_side(track, q, Surroundings(window.estimate.poses(), window.pings, np.zeros((2, 2)), feature))
 
 
 def _feature(
-    window: Window, track: Track, feature: FeatureParameters, joint: Joint | None, move: gtsam.Pose3
+    window: Window, track: Track, feature: FeatureParameters, joint: Joint | None, move: Mat4
 ) -> TrackedFeature:
     ka, kf = pose_key(track.anchor), feature_key(track.key)
     q = sided(window, track, feature)
-    point, by_anchor, by_q = cartesian_feature(window.values.atPose3(ka).matrix(), track, q)
+    point, by_anchor, by_q = cartesian_feature(window.T(track.anchor), track, q)
     covariance = track.modes[0].covariance[:3, :3] if track.modes else np.eye(3)
     if joint is not None and ka in joint.offset and kf in joint.offset:
         P = joint.block([ka, kf], [6, 3])

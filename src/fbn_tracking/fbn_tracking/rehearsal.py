@@ -1,6 +1,6 @@
 """A made-up dozen pings past one target, to be played before the first real one.
 
-Kernels are compiled by :mod:`fbn_tracking.warm_up`; what is left are the pages of gtsam's and LAPACK's code that a
+Kernels are compiled by :mod:`fbn_tracking.warm_up`; what is left are the pages of LAPACK's code that a
 graduation, a cut and a composite touch for the first time.
 """
 

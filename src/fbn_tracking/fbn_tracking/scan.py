@@ -7,8 +7,7 @@ from math import log1p
 from fbn_common import chi_square
 from fbn_common.records import Innovation, Verdict
 from fbn_common.types import Mat3
-from fbn_tracking.factors import DRIFT
-from fbn_tracking.matching import Joint, Match, Prediction, match, predict_feature, predict_infants
+from fbn_tracking.matching import DRIFT, Joint, Match, Prediction, match, predict_feature, predict_infants
 from fbn_tracking.nursery import Nursery, view_weight
 from fbn_tracking.parameters import TrackingParameters
 from fbn_tracking.track import Detection, Look, Track

@@ -1,72 +1,104 @@
-"""Damped Gauss-Newton on a whole window, and the square-root marginal of some of its variables."""
+"""Damped Gauss-Newton on a window, and the square root of the joint covariance of some of its variables."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
-import gtsam
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtri
 
 from fbn_common.types import Array
+from fbn_tracking.elimination import Whole, back_substitute, eliminate, missing_curvatures
+from fbn_tracking.system import Layout, State, System
 
 _ITERATIONS = 30
 _CONVERGED = 1e-6  # of the energy: for fifty detections some 0.01 sigma off
 _MOST_DAMPING = 1e8
-_THETA = gtsam.noiseModel.Unit.Create(3)
-
-
-Curvature = Callable[[gtsam.Values], dict[int, float]]
-"""What Gauss-Newton leaves out of the second derivative of the energy by each feature's theta, never negative."""
+_NEAR_TURN, _NEAR_WAY, _NEAR_THETA = 0.01, 0.1, 0.02  # rad, m, rad: after smaller steps all is as good as linear
 
 
 class Solution(NamedTuple):
-    """The optimum, the graph linearised there, and its energy (half the sum of squares)."""
+    """An estimate; the border's triangle where the window was linearised last, and the energy there."""
 
-    values: gtsam.Values
-    linear: Any
+    state: State
+    layout: Layout
+    corner: Array
+    energy: float
+
+    def root(self, columns: Whole) -> Array:
+        """``S`` with ``S S^T`` the joint covariance of these columns of the border, in their order."""
+        inverse, singular = dtrtri(self.corner)
+        if singular or not np.isfinite(inverse).all():
+            raise RuntimeError("a window's triangle is singular")
+        return np.asarray(inverse[columns])
+
+
+class _Looks(NamedTuple):
+    """Measurements as the kernels take them."""
+
+    base: Array
+    motion: Array
+    looks: Array
+    at: Whole
+    starts: Whole
+    weak: float
+
+
+class _Step(NamedTuple):
+    """A linearised window and where its step leads."""
+
+    corner: Array
+    right: Array
+    chain: Array
     energy: float
 
 
-def solve(graph: Any, values: gtsam.Values, curvature: Curvature) -> Solution:
+def solve(system: System, start: State, kept: Iterable[int], exact: bool) -> Solution:
     """Gauss-Newton with theta's missing curvature put back, and damped where the energy rises all the same.
 
     Theta is the one direction far from linear: ``u`` is cubic in it, and ranges are even functions of it, so that
-    residuals bend the energy as much as slopes do.  Raises RuntimeError where the system is indeterminate.
+    residuals bend the energy as much as slopes do.  ``exact``: until the energy falls no more, and with the triangle
+    at the optimum itself and of the measurements alone; else until what is left is nearly linear.  ``kept``: rows of
+    poses in the border.  Raises RuntimeError where an estimate is not finite.
     """
-    linear = graph.linearize(values)
-    damping, energy, missing = 0.0, float(linear.error(values.zeroVectors())), curvature(values)
+    layout, made = system.layout(kept), _Looks(system.base, system.motion.view(), *system.sorted_looks(), system.weak)
+    state, damping = start, 0.0
+    missing = _missing(made, state)
+    here = _linearise(made, state, layout, missing)
     for _ in range(_ITERATIONS):
-        candidate = values.retract(_curved(linear, missing, damping).optimize())
-        there = graph.linearize(candidate)  # gives the energy too: most steps are accepted
-        value = float(there.error(candidate.zeroVectors()))
-        if not value <= energy + _CONVERGED * (1.0 + energy):
+        border, poses = back_substitute(here.corner, here.right, here.chain, layout.poses)
+        candidate = state.moved(border, poses, layout)
+        if not (np.isfinite(candidate.T).all() and np.isfinite(candidate.q).all()):
+            raise RuntimeError("a window's estimate is not finite")
+        if not exact and _small(border, poses, layout):
+            return Solution(candidate, layout, here.corner, here.energy)
+        bent = _missing(made, candidate)
+        there = _linearise(made, candidate, layout, bent)
+        if not there.energy <= here.energy + _CONVERGED * (1.0 + here.energy):
             damping = max(damping * 10.0, 10.0)
-            if damping > _MOST_DAMPING or not missing:
+            if damping > _MOST_DAMPING or not len(missing):
                 break
+            here = _linearise(made, state, layout, missing + damping)
             continue
-        done = energy - value < _CONVERGED * (1.0 + value)
-        values, energy, linear, damping = candidate, value, there, damping * 0.1 if damping > 1.0 else 0.0
+        done = here.energy - there.energy < _CONVERGED * (1.0 + there.energy)
+        state, missing, damping = candidate, bent, damping * 0.1 if damping > 1.0 else 0.0
+        here = there if damping == 0.0 or done else _linearise(made, state, layout, missing + damping)
         if done:
             break
-        missing = curvature(values)
-    return Solution(values, linear, energy)
+    plain = _linearise(made, state, layout, np.zeros(len(missing))) if exact else here
+    return Solution(state, layout, plain.corner, plain.energy)
 
 
-def _curved(linear: Any, missing: dict[int, float], damping: float) -> Any:
-    curved = linear.clone()
-    for key, weight in missing.items():
-        if weight + damping > 0.0:
-            curved.add(key, np.diag([0.0, 0.0, (weight + damping) ** 0.5]), np.zeros(3), _THETA)
-    return curved
+def _missing(made: _Looks, state: State) -> Array:
+    return missing_curvatures(made.looks, made.at, state.T, state.q)
 
 
-def square_root_covariance(linear: Any, keys: list[int]) -> Array:
-    """``S`` with ``S S^T`` the joint covariance of ``keys`` in their order, by QR; no information matrix is formed."""
-    ordering = gtsam.Ordering()
-    for key in keys:
-        ordering.push_back(key)
-    A, _ = linear.marginal(keys, gtsam.EliminateQR).jacobian(ordering)
-    R = np.asarray(np.linalg.qr(np.array(A), mode="r"))
-    return np.asarray(solve_triangular(R, np.eye(R.shape[1])))
+def _linearise(made: _Looks, state: State, layout: Layout, weights: Array) -> _Step:
+    return _Step(*eliminate(*made, weights, *state, layout.poses, layout.features, layout.top, layout.width))
+
+
+def _small(border: Array, poses: Array, layout: Layout) -> bool:
+    turn, way = np.abs(poses[:, :3]).max(), np.abs(poses[:, 3:]).max()
+    theta = np.abs(border[layout.features + 2]).max(initial=0.0)
+    return bool(turn < _NEAR_TURN and way < _NEAR_WAY and theta < _NEAR_THETA)

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from math import exp
 from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
 
 from fbn_common.lie import matrix_from_quaternion
-from fbn_common.records import PingMotion, SonarDetections
+from fbn_common.records import PingMotion, Pose, SonarDetections
 from fbn_common.sonar import SonarArray
 from fbn_common.types import NS, Array, Mat3, Mat4, Vec3
 from fbn_tracking.factors import inverse, whitener
@@ -174,13 +173,20 @@ def next_ping(before: Ping, motion: PingMotion, deviation: float) -> Ping:
     )
 
 
-def array_pose(pose: gtsam.Pose3, mount: Mat4) -> tuple[Mat3, Vec3]:
+def pose_matrix(pose: Pose) -> Mat4:
+    """The pose as a matrix (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = matrix_from_quaternion(pose.orientation), pose.position
+    return T
+
+
+def array_pose(T_world_base: Mat4, mount: Mat4) -> tuple[Mat3, Vec3]:
     """Rotation and position of an array in the world, C-ordered."""
-    T = pose.matrix() @ mount
+    T = T_world_base @ mount
     return np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
 
 
-def stack_poses(looks: Iterable[Look], poses: Mapping[int, gtsam.Pose3]) -> tuple[Array, Array]:
+def stack_poses(looks: Iterable[Look], poses: Mapping[int, Mat4]) -> tuple[Array, Array]:
     """Array rotations (n, 3, 3) and positions (n, 3) of looks, from poses by ping index."""
     pairs = [array_pose(poses[look.index], look.mount) for look in looks]
     return np.array([R for R, _ in pairs]).reshape(-1, 3, 3), np.array([p for _, p in pairs]).reshape(-1, 3)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-import gtsam
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from fbn_common import lie
 from fbn_tracking import factors, gating, geometry, infants, motion_check, swept
@@ -15,12 +13,10 @@ from fbn_tracking import factors, gating, geometry, infants, motion_check, swept
 @cache
 def warm_up() -> None:
     """Call each kernel once; the second call does nothing."""
-    pose, eye3, mount = gtsam.Pose3().matrix(), np.eye(3), np.eye(4)
+    pose, eye3, mount = np.eye(4), np.eye(3), np.eye(4)
     q, z, zero3 = np.array([10.0, 1.5, 0.1]), np.array([10.0, 1.5, 0.05, 0.02, 0.3, 150.0]), np.zeros(3)
     factors.link_kernel(pose, pose, zero3, zero3, eye3, 1.0, np.eye(6))
     factors.earth_kernel(pose, np.zeros(4), np.eye(4))
-    factors.detection_kernel(pose, pose, mount, mount, q, z, True)
-    factors.u_row(0.1, 0.3, 150.0, True)
     geometry.anchored_observation(pose, pose, mount, mount, q)
     geometry.elevation_shape(0.17, 2e-3, True)
     geometry.u_from_theta(0.1, 0.3, 150.0)
@@ -30,7 +26,6 @@ def warm_up() -> None:
     R, p, t = np.stack((eye3, eye3)), np.zeros((2, 3)), np.zeros(2)
     x, H, *_ = infants.fit(q, R, p, t, np.stack((z, z)), np.eye(2), zero3, np.eye(3))
     infants.profile(np.array([0.1]), x, R, p, t, np.stack((z, z)), np.eye(2))
-    infants.missing_curvature(q, R, p, np.stack((z, z)))
     point, covariance = infants.spread(x, H, R[0], p[0], 0.3, 150.0)
     zs, S = gating.predict_points(
         point[None], np.zeros((1, 2)), covariance[None], np.zeros(1), np.zeros((1, 2)), eye3, zero3, 0.3, 150.0
@@ -46,5 +41,4 @@ def warm_up() -> None:
     lie.rpy_jacobian(zero3)
     lie.skew(zero3)
     lie.matrix_from_quaternion(lie.quaternion_from_matrix(lie.matrix_from_rpy(lie.rpy_from_matrix(eye3))))
-    solve_triangular(eye3, eye3)
     swept.swept_area([(eye3, zero3, np.array([1.0, 2.0, 1.0, 2.0]))], np.zeros(2), 1.0)

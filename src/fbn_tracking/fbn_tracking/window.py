@@ -1,26 +1,20 @@
-"""One window of the tracking graph: a chain of poses, the drift, the features seen; smoothed with gtsam's ISAM2.
+"""One window of the tracking problem: a chain of poses, the drift, the features seen; smoothed after every ping.
 
-Everything the graph holds is also kept here as plain records, so that it can be built anew: for the cut, for a
-re-linearisation, and after any numerical failure.
+Everything is kept as plain records too, so that the system can be built anew: for the cut, and after a failure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any
 
-import gtsam
 import numpy as np
 
 from fbn_common.records import PingMotion
-from fbn_common.types import Array, Mat3, Vec3
+from fbn_common.types import Array, Mat3, Mat4, Vec3
 from fbn_tracking import factors
-from fbn_tracking.factors import DRIFT, feature_key, pose_key
-from fbn_tracking.infants import missing_curvature
-from fbn_tracking.solver import solve
-from fbn_tracking.track import Detection, Ping, Track, array_pose
+from fbn_tracking.solver import Solution, solve
+from fbn_tracking.system import Estimate, State, System, base_row
+from fbn_tracking.track import Detection, Ping, Track
 
 _LEAST_DRIFT = 1e-8  # m^2/s^2
 
@@ -33,7 +27,7 @@ class Base:
     of yaw's error that stays [rad^2]; the covariance is that given this error.
     """
 
-    pose: gtsam.Pose3
+    T: Mat4
     mean: Array
     covariance: Array
     fresh: bool
@@ -48,11 +42,16 @@ class Window:
     pings: dict[int, Ping]
     weak_theta_sigma: float
     features: dict[int, Track] = field(default_factory=dict)
-    values: gtsam.Values = field(default_factory=gtsam.Values)
     failures: int = 0
-    _isam: Any = None
-    _new_factors: Any = field(default_factory=gtsam.NonlinearFactorGraph)
-    _new_values: gtsam.Values = field(default_factory=gtsam.Values)
+    system: System = field(init=False)
+    estimate: Estimate = field(init=False)
+    _rows: dict[int, int] = field(default_factory=dict)
+    _solution: Solution | None = None
+    _smoothed: int = 0  # pings taken in by the solution
+
+    def __post_init__(self) -> None:
+        self.system, self._rows = self._build(), {key: row for row, key in enumerate(self.features)}
+        self.estimate = Estimate(dead_reckoned(self.base, list(self.pings.values())), self.first, self._rows)
 
     @property
     def first(self) -> int:
@@ -64,114 +63,96 @@ class Window:
         """Index of the latest ping."""
         return next(reversed(self.pings))
 
-    def pose(self, index: int) -> gtsam.Pose3:
-        """The estimate of a pose."""
-        return self.values.atPose3(pose_key(index))
+    def T(self, index: int) -> Mat4:
+        """The estimate of a pose, T_world_base."""
+        return self.estimate.T(index)
 
     def drift(self) -> Vec3:
         """The estimate of the drift (3) [m/s]."""
-        return np.asarray(self.values.atPoint3(DRIFT))
+        return self.estimate.state.drift
 
-    def poses(self) -> dict[int, gtsam.Pose3]:
-        """All poses by index."""
-        return {index: self.pose(index) for index in self.pings}
-
-    def start(self, values: gtsam.Values | None = None) -> None:
-        """Begin with all poses of ``pings``; initial values by dead reckoning where none are given."""
-        self.values = values or dead_reckoned(self.base, list(self.pings.values()))
-        self._isam = None
+    def start(self, T: Array, drift: Vec3) -> None:
+        """Begin with these initial values, of all poses and the drift, instead of dead reckoning's."""
+        self._set(State(T, drift, self.estimate.state.q))
 
     def add_ping(self, ping: Ping) -> None:
         """Append a pose with its link and earth measurement."""
-        pose = propagate(self.pose(self.last), self.drift(), ping)
+        T = propagate(self.T(self.last), self.drift(), ping)
         self.pings[ping.index] = ping
-        self._introduce(pose_key(ping.index), pose)
-        for factor in ping_factors(ping):
-            self._new_factors.add(factor)
+        self.system.add_ping(ping, linked=True, earth=True)
+        state = self.estimate.state
+        self._set(state._replace(T=np.concatenate((state.T, T[None]))))
 
     def add_feature(self, track: Track, q: Vec3) -> None:
         """Bring in a feature at ``q`` with all its detections."""
         track.graduated = True
+        self._rows[track.key] = len(self.features)
         self.features[track.key] = track
-        self._introduce(feature_key(track.key), q)
-        for detection in track.detections:
-            self._new_factors.add(detection_factor(track, detection, self.weak_theta_sigma, True))
+        self.system.add_feature(track, self.first)
+        state = self.estimate.state
+        self._set(state._replace(q=np.concatenate((state.q, q[None]))))
 
     def add_detection(self, track: Track, detection: Detection) -> None:
         """One more detection of a feature of this window."""
         track.detections.append(detection)
-        self._new_factors.add(detection_factor(track, detection, self.weak_theta_sigma, True))
+        self.system.add_detection(track, detection, self._rows[track.key], self.first)
 
     def update(self) -> None:
-        """Smooth; a numerical failure rebuilds the window from its records, and is counted."""
+        """Smooth; a numerical failure is counted, and the features given up: the motion alone cannot fail."""
         try:
-            if self._isam is None:
-                self._rebuild()
-            else:
-                self._isam.update(self._new_factors, self._new_values)  # the next ping's re-linearises what still moves
-                self._accept(self._isam.calculateEstimate())
+            self._solve()
         except RuntimeError:
             self.failures += 1
-            self._isam = None
-            self._recover()
-        self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+            for track in self.features.values():
+                track.retired = True
+            self.features.clear()
+            self.__post_init__()
+            self._solve()
 
     def smoothed(self, index: int) -> bool:
         """Whether the smoother has taken in this ping."""
-        return self._isam is not None and not self._new_values.exists(pose_key(index))
+        return self._solution is not None and index - self.first < self._smoothed
 
     def transition(self, index: int) -> tuple[Array, Array, Array]:
         """How a pose follows from the one before and the drift: Jacobians (6, 6), (6, 3), noise (6, 6)."""
-        ping, before, here = self.pings[index], self.pose(index - 1).matrix(), self.pose(index).matrix()
+        ping, before, here = self.pings[index], self.T(index - 1), self.T(index)
         _, H1, H2, Hb = factors.link_kernel(
             before, here, self.drift(), ping.increment, ping.R_increment, ping.dt, ping.link_whitener
         )
         inverse = np.linalg.inv(H2)
         return -inverse @ H1, -inverse @ Hb, inverse @ inverse.T
 
-    def joint(self, keys: list[int]) -> Array:
-        """Joint covariance of some variables, in their order (poses 6 in gtsam's tangent, others 3)."""
-        if self._isam is None:
-            self.update()
-        covariance = np.array(self._isam.jointMarginalCovariance(keys).fullMatrix())
-        if not np.isfinite(covariance).all():
-            raise RuntimeError("joint marginal is not finite")
-        return covariance
+    def joint(self, index: int, tracks: list[Track]) -> Array:
+        """Joint covariance of a pose, these tracks' other anchors, the drift and the tracks, in this order.
 
-    def graph(self, last: int, curved: bool = True) -> Any:
-        """All factors of pings and detections up to ping ``last``, from the records."""
-        return build_graph(self.base, self.pings.values(), self.features.values(), last, self.weak_theta_sigma, curved)
+        Poses 6 (rotation vector, then translation, in the body frame), others 3.
+        """
+        if self._solution is None or self._solution.layout.poses[index - self.first] < 0:
+            self._solve((index,))
+        assert self._solution is not None
+        columns = self._solution.layout.columns
+        poses = dict.fromkeys([index, *(t.anchor for t in tracks)])
+        root = self._solution.root(columns([i - self.first for i in poses], [self._rows[t.key] for t in tracks]))
+        return root @ root.T
 
-    def _introduce(self, key: int, value: Any) -> None:
-        self.values.insert(key, value)
-        if self._isam is not None:
-            self._new_values.insert(key, value)
+    def _solve(self, kept: tuple[int, ...] = ()) -> None:
+        rows = [index - self.first for index in (self.last, *kept)]
+        self._solution = solve(self.system, self.estimate.state, rows, exact=False)
+        self._smoothed = len(self.pings)
+        self._set(self._solution.state)
 
-    def _accept(self, values: gtsam.Values) -> None:
-        if not np.isfinite(values.atPose3(pose_key(self.last)).matrix()).all():
-            raise RuntimeError("estimate is not finite")
-        self.values = values
+    def _set(self, state: State) -> None:
+        self.estimate = Estimate(state, self.first, self._rows)
 
-    def _rebuild(self) -> None:
-        plain = self.graph(self.last, curved=False)
-        start = solve(plain, self.values, partial(theta_curvature, list(self.features.values()))).values
-        self._isam = new_isam()
-        self._isam.update(self.graph(self.last), start)
-        self._accept(self._isam.calculateEstimate())
-
-    def _recover(self) -> None:
-        """Build anew; if even that fails, go on with the motion alone, which cannot fail."""
-        try:
-            self._rebuild()
-        except RuntimeError:
-            self.failures += 1
-            for track in self.features.values():
-                track.retired = True
-            self.features.clear()
-            self.values = dead_reckoned(self.base, list(self.pings.values()))
-            self._isam = new_isam()
-            self._isam.update(self.graph(self.last), self.values)
-            self._accept(self._isam.calculateEstimate())
+    def _build(self) -> System:
+        """The system of all records."""
+        base = self.base
+        system = System(base_row(base.T[:2, 3], base.mean, base.covariance), self.weak_theta_sigma)
+        for number, ping in enumerate(self.pings.values()):
+            system.add_ping(ping, number > 0, number > 0 or base.fresh)
+        for track in self.features.values():
+            system.add_feature(track, self.first)
+        return system
 
 
 def drift_prior(motion: PingMotion) -> Mat3:
@@ -179,88 +160,18 @@ def drift_prior(motion: PingMotion) -> Mat3:
     return np.asarray(motion.drift_covariance + _LEAST_DRIFT * np.eye(3))
 
 
-def new_isam() -> Any:
-    """An ISAM2 that re-linearises each kind of variable at its own threshold."""
-    thresholds = gtsam.ISAM2ThresholdMap()
-    thresholds.insert(("x", np.array([0.05] * 3 + [0.5] * 3)))
-    thresholds.insert(("f", np.array([0.5, 0.03, 0.02])))
-    thresholds.insert(("b", np.full(3, 0.5)))
-    parameters = gtsam.ISAM2Params()
-    parameters.setRelinearizeThreshold(thresholds)
-    parameters.relinearizeSkip = 1
-    return gtsam.ISAM2(parameters)
-
-
-def propagate(pose: gtsam.Pose3, drift: Vec3, ping: Ping) -> gtsam.Pose3:
+def propagate(T: Mat4, drift: Vec3, ping: Ping) -> Mat4:
     """The pose at ``ping`` from that at the ping before, by increment and drift."""
-    current = pose.rotation().matrix().T @ np.array([drift[0], drift[1], 0.0]) + np.array([drift[2], 0.0, 0.0])
-    step = gtsam.Pose3(gtsam.Rot3(ping.R_increment), ping.increment + current * ping.dt)
-    return pose.compose(step)
+    current = T[:3, :3].T @ np.array([drift[0], drift[1], 0.0]) + np.array([drift[2], 0.0, 0.0])
+    out = T.copy()
+    out[:3, 3] += T[:3, :3] @ (ping.increment + current * ping.dt)
+    out[:3, :3] = T[:3, :3] @ ping.R_increment
+    return out
 
 
-def dead_reckoned(base: Base, pings: list[Ping]) -> gtsam.Values:
-    """Initial values of a chain: base, drift, and every pose by its link."""
-    values, pose = gtsam.Values(), base.pose
-    values.insert(DRIFT, base.mean[4:].copy())
-    for number, ping in enumerate(pings):
-        pose = propagate(pose, base.mean[4:], ping) if number else pose
-        values.insert(pose_key(ping.index), pose)
-    return values
-
-
-def ping_factors(ping: Ping) -> list[Any]:
-    """Link to the ping before, and the earth measurement where there is one."""
-    link = factors.link_factor(
-        ping.index - 1, ping.index, ping.increment, ping.R_increment, ping.dt, ping.link_whitener
-    )
-    return [link, *earth_factors(ping)]
-
-
-def earth_factors(ping: Ping) -> list[Any]:
-    """The earth measurement, none where nothing was learnt."""
-    return [factors.earth_factor(ping.index, ping.earth_mean, ping.earth_whitener)] if ping.earth_whitener.any() else []
-
-
-def detection_factor(track: Track, detection: Detection, weak_theta_sigma: float, curved: bool) -> Any:
-    """The factor of one of a track's detections."""
-    first = track.detections[0]
-    if detection is first:
-        return factors.first_detection_factor(track.key, detection.z, weak_theta_sigma, curved)
-    return factors.detection_factor(
-        first.index, detection.index, track.key, first.look.mount, detection.look.mount, detection.z, curved
-    )
-
-
-def theta_curvature(tracks: list[Track], values: gtsam.Values) -> dict[int, float]:
-    """By feature: second derivative of the energy by theta, poses fixed, less what Gauss-Newton has of it."""
-    missing, arrays = {}, {}
-    for track in tracks:
-        looks = [d.look for d in track.detections]
-        for look in looks:
-            if (look.index, look.array) not in arrays:
-                arrays[look.index, look.array] = array_pose(values.atPose3(pose_key(look.index)), look.mount)
-        R, p = (np.array([arrays[look.index, look.array][i] for look in looks]) for i in (0, 1))
-        q, z = values.atPoint3(feature_key(track.key)), np.array([d.z for d in track.detections])
-        missing[feature_key(track.key)] = missing_curvature(q, R, p, z)
-    return missing
-
-
-def build_graph(
-    base: Base, pings: Iterable[Ping], tracks: Iterable[Track], last: int, weak_theta_sigma: float, curved: bool
-) -> Any:
-    """The graph of a window up to ping ``last``: gauge, prior at the base, links, earth, detections."""
-    graph = gtsam.NonlinearFactorGraph()
-    chain = [ping for ping in pings if ping.index <= last]
-    first = chain[0]
-    graph.add(factors.gauge_factor(first.index, base.pose.translation()[:2].copy()))
-    graph.add(factors.base_factor(first.index, base.mean, factors.whitener(factors.inverse(base.covariance))))
-    for factor in earth_factors(first) if base.fresh else []:
-        graph.add(factor)
-    for ping in chain[1:]:
-        for factor in ping_factors(ping):
-            graph.add(factor)
-    for track in tracks:
-        for detection in track.detections:
-            if detection.index <= last:
-                graph.add(detection_factor(track, detection, weak_theta_sigma, curved))
-    return graph
+def dead_reckoned(base: Base, pings: list[Ping]) -> State:
+    """Initial values of a chain: base, drift, and every pose by its link; no features."""
+    T = [base.T]
+    for ping in pings[1:]:
+        T.append(propagate(T[-1], base.mean[4:], ping))
+    return State(np.array(T), base.mean[4:].copy(), np.zeros((0, 3)))

@@ -13,10 +13,11 @@ from synthetic_world import World, corridor, play, simulate
 
 from fbn_common.lie import matrix_from_quaternion, rpy_from_matrix, so3_exp, so3_log
 from fbn_common.sonar import cartesian, polar
+from fbn_testing.gtsam_window import DRIFT, feature_key, graph_of, pose_key, values_of
 from fbn_tracking.estimator import Tracking
 from fbn_tracking.geometry import elevation_shape
 from fbn_tracking.parameters import CompositeParameters, FeatureParameters, TrackingParameters
-from fbn_tracking.solver import square_root_covariance
+from fbn_tracking.solver import solve
 
 LINEAR = FeatureParameters(elevation="linear", weak_theta_sigma=1e6)
 WHOLE = CompositeParameters(pings=1000, window=2000)
@@ -149,29 +150,51 @@ def test_the_covariance_is_that_of_the_independent_batch(against_batch):
     np.testing.assert_allclose(covariance * np.outer(scale, scale), expected * np.outer(scale, scale), atol=1e-3)
 
 
-def test_the_square_root_marginal_is_that_of_a_dense_qr():
-    rng, graph = np.random.default_rng(5), gtsam.GaussianFactorGraph()
-    keys = list(range(12))
-    rows = np.zeros((0, 36))
-    for i in keys:
-        for j in (i, (i + 1) % 12, (i + 5) % 12):
-            A, B = rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
-            row = np.zeros((3, 36))
-            row[:, 3 * i : 3 * i + 3] += A
-            if i == j:
-                graph.add(i, A, np.zeros(3), gtsam.noiseModel.Unit.Create(3))
-            else:
-                row[:, 3 * j : 3 * j + 3] += B
-                graph.add(i, A, j, B, np.zeros(3), gtsam.noiseModel.Unit.Create(3))
-            rows = np.vstack((rows, row))
-    wanted = [7, 2, 11]
-    root = square_root_covariance(graph, wanted)
-    R = np.linalg.qr(rows, mode="r")
+@pytest.fixture(scope="module")
+def smoothed_window():
+    """A window with features, seen by both arrays, as the tracker left it, and gtsam's graph of its records."""
+    tracker = Tracking(TrackingParameters(composite=WHOLE))
+    play(tracker, simulate(World(corridor(6, 8.0), detection_probability=1.0, pitch=0.1), 45, 1006))
+    window = tracker._window
+    assert len(window.features) >= 4
+    return window, graph_of(window)
+
+
+def _keys(window):
+    ends = dict.fromkeys([window.first, window.last, *(t.anchor for t in window.features.values())])
+    return list(ends), [*map(pose_key, ends), DRIFT, *map(feature_key, window.features)]
+
+
+def test_the_square_root_marginal_is_that_of_a_dense_qr(smoothed_window):
+    window, graph = smoothed_window
+    found = solve(window.system, window.estimate.state, (0, window.last - window.first), exact=True)
+    window.start(found.state.T, found.state.drift)
+    window.estimate.state.q[:] = found.state.q
+    kept, keys = _keys(window)
+    ordering = gtsam.Ordering()
+    for key in (*(pose_key(i) for i in window.pings if i not in kept), *keys):
+        ordering.push_back(key)
+    A, _ = graph.linearize(values_of(window)).jacobian(ordering)
+    root = found.root(found.layout.columns([i - window.first for i in kept], range(len(window.features))))
+    R = np.linalg.qr(A, mode="r")[-len(root) :, -len(root) :]
     inverse = np.linalg.inv(R)
-    dense = inverse @ inverse.T
-    at = np.concatenate([np.arange(3 * k, 3 * k + 3) for k in wanted])
-    expected = dense[np.ix_(at, at)]
-    assert np.abs(root @ root.T - expected).max() <= 1e-9 * np.abs(expected).max()
+    expected = inverse @ inverse.T
+    scale = np.sqrt(np.diag(expected))
+    # condition numbers are some 1e4: rounding leaves 1e-12
+    assert np.abs((root @ root.T - expected) / np.outer(scale, scale)).max() <= 1e-9
+
+
+def test_the_optimum_is_that_of_gtsam(smoothed_window):
+    window, graph = smoothed_window
+    found = solve(window.system, window.estimate.state, (0,), exact=True)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-12)
+    parameters.setMaxIterations(300)
+    peer = gtsam.LevenbergMarquardtOptimizer(graph, values_of(window), parameters).optimize()
+    assert found.energy <= graph.error(peer) * (1.0 + 1e-5)  # ours stops where a step gains less than 1e-6 of it
+    assert graph.error(peer) <= found.energy * (1.0 + 1e-5)
+    T = peer.atPose3(pose_key(window.last)).matrix()
+    np.testing.assert_allclose(found.state.T[-1][:3, 3], T[:3, 3], atol=1e-3)  # m, of which 5 cm are allowed online
 
 
 def _fuse(composites):

@@ -70,7 +70,7 @@ def _around():
     play(tracker, run)
     (track,) = (t for t in tracker.tracks if t.memory is None)
     window = tracker.window
-    around = Surroundings(window.poses(), window.pings, np.zeros((2, 2)), tracker.parameters.feature)
+    around = Surroundings(window.estimate.poses(), window.pings, np.zeros((2, 2)), tracker.parameters.feature)
     R, p = around.array(track.detections[0].look)
     return track, around, observe(R, p, target)[0]
 
