@@ -29,7 +29,7 @@ CONTRACT = {
     "FeatureBearings": "header track_ids directions sigma",
     "PredictedMotion": "header start increment rotation velocity_start velocity_end parameters attitude_start"
     " jacobian_velocity jacobian_attitude jacobian_parameters noise",
-    "VehicleParameters": "header mean covariance",
+    "VehicleParameters": "header mean covariance further further_covariance",
     "PingMotion": "header previous increment increment_covariance pose earth earth_information earth_covariance"
     " velocity altitude altitude_variance drift_covariance drift_time_constant heading_deviation",
     "ReferenceFix": "header xy covariance marginal",

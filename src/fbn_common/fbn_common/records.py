@@ -28,6 +28,11 @@ def shaped(*shape: int) -> Any:
     return field(metadata={"shape": shape})
 
 
+def zeros(*shape: int) -> Any:
+    """The same, zero where nothing is stated."""
+    return field(metadata={"shape": shape}, default_factory=lambda: np.zeros(shape))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
     """A position [m] and an orientation (unit quaternion x, y, z, w)."""
@@ -176,12 +181,18 @@ class PredictedMotion(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleParameters(Record):
-    """The 15 parameters of :class:`PredictedMotion`, valid from the stamp on."""
+    """The 15 parameters of :class:`PredictedMotion`, valid from the stamp on, and further ones of compass and water.
+
+    Further: coefficients of the compass's deviation by heading (1, sin, cos, sin 2, cos 2) [rad], and the top layer's
+    own motion, east and north [m/s].
+    """
 
     ros_type: ClassVar[str] = "fbn_msgs/msg/VehicleParameters"
     frame_id: str
     mean: Array = shaped(15)
     covariance: Array = shaped(15, 15)
+    further: Array = zeros(7)
+    further_covariance: Array = zeros(7, 22)  # with the 15, then among themselves; all zero = not stated
 
 
 # --- dead reckoning and reference ------------------------------------------------------------------------

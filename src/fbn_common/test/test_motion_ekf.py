@@ -8,13 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fbn_common.lie import matrix_from_rpy, so3_log
-from fbn_common.motion_ekf.adopt import adopt_covariance, gained_information
+from fbn_common.motion_ekf.adopt import adopt_covariance, gained_information, joint_covariance, usable_parameters
 from fbn_common.motion_ekf.layout import (
     DEVIATION,
     ESTIMATED_REFERENCE,
     GRID_NS,
+    LAYER,
+    OWN,
     SIZE_REFERENCE,
     SNAPSHOT_NS,
+    WATER,
+    X_DEVIATION,
     X_PARAMETERS,
     X_SIZE,
     X_VELOCITY,
@@ -37,13 +41,13 @@ from fbn_common.motion_ekf.parameters import CompassParameters, DepthParameters,
 from fbn_common.motion_ekf.propagate import propagate, rotation_of, set_rotation
 from fbn_common.motion_ekf.timeline import MotionLog
 from fbn_common.motion_ekf.warm_up import standstill
-from fbn_common.records import Verdict
+from fbn_common.records import VehicleParameters, Verdict
 from fbn_common.types import Array
 
 N = SIZE_REFERENCE
 CONFIG = Config(
     ESTIMATED_REFERENCE, np.tile([0, ESTIMATED_REFERENCE], (len(Kind), 1)), SNAPSHOT_NS, np.full(15, 1e-6),
-    np.full(15, 1e3), np.full(13, 300.0), np.full(13, 0.01), 1.18, 0.0, 2.0, 0.2, 0.7, 0.0,
+    np.full(15, 1e3), 1e-6, np.full(13, 300.0), np.full(13, 0.01), 1.18, 0.0, 2.0, 0.2, 0.7, 0.0,
     np.full((4, len(Kind)), 50.0), np.full(len(Kind), 1e18), 0.3 * np.ones((len(Kind), 3)), 0.1, 3.0, 1.0, True, 60.0,
 )  # fmt: skip
 floats = st.lists(st.floats(-1.0, 1.0), min_size=40, max_size=40).map(np.array)
@@ -61,7 +65,8 @@ def state(u: Array) -> Array:
     x[:3] = 5.0 * u[:3]
     set_rotation(x, matrix_from_rpy(u[3:6]))
     x[X_VELOCITY : X_VELOCITY + 6] = u[6:12]
-    x[X_PARAMETERS:] = 0.5 + 0.2 * u[12:27]
+    x[X_PARAMETERS:X_DEVIATION] = 0.5 + 0.2 * u[12:27]
+    x[X_DEVIATION:] = 0.01 * u[27:34]
     return x
 
 
@@ -87,6 +92,7 @@ def innovation(kind: Kind, x: Array, data: Array | None = None) -> tuple[Array, 
 def test_measurement_jacobians_equal_numerical_derivatives(kind: Kind, u: Array) -> None:
     x = state(u)
     if kind is Kind.COMPASS:  # near the measured attitude, where the filter works: error 0.5 of the angle between
+        x[X_DEVIATION:] = 0.0
         set_rotation(x, matrix_from_rpy(np.array([0.1, -0.1, 0.7]) + 1e-4 * u[3:6]))
     _, _, h = innovation(kind, x)  # of CLIMB without the tilt of the beam: what is constant of it cancels with the base
     step, numeric = 1e-6, np.zeros((len(h), ESTIMATED_REFERENCE))
@@ -197,6 +203,21 @@ def test_adopted_covariances_leave_the_whole_positive_definite(seed: int) -> Non
     assert np.linalg.eigvalsh(p * np.outer(d, d))[0] > -1e-10  # correlations; rounding of 12 decades
 
 
+def test_followers_learn_as_by_a_measurement_of_what_is_adopted() -> None:
+    p, states = covariance(2), slice(15, 34)
+    h = np.random.default_rng(5).standard_normal((4, 19))
+    prior = p[states, states].copy()
+    posterior = np.linalg.inv(np.linalg.inv(prior) + 50.0 * h.T @ h)
+    gain = p[:, states] @ np.linalg.inv(prior)
+    expected = p - gain @ (prior - posterior) @ gain.T
+    partly = p.copy()
+    adopt_covariance(p, states, posterior, slice(0, 15))
+    np.testing.assert_allclose(p[:34, :34], expected[:34, :34], atol=1e-10)
+    adopt_covariance(partly, states, posterior, slice(3, 6))
+    np.testing.assert_allclose(partly[3:6], expected[3:6], atol=1e-10)
+    assert np.linalg.eigvalsh(partly - expected)[0] > -1e-10  # careful wherever nothing follows
+
+
 def test_adopting_the_same_covariance_changes_nothing() -> None:
     p = covariance(1)
     before = p.copy()
@@ -244,7 +265,7 @@ def test_deviation_has_its_whole_variance_at_every_heading() -> None:
     _, variance = considered(compass, DepthParameters(), SurfaceParameters())
     for yaw in np.linspace(-3.0, 3.0, 7):
         waves = deviation_waves(matrix_from_rpy(np.array([0.0, 0.0, yaw])))
-        assert waves**2 @ variance[2:7] == pytest.approx(compass.deviation**2)
+        assert waves**2 @ variance[DEVIATION - OWN : LAYER - OWN] == pytest.approx(compass.deviation**2)
 
 
 def test_a_deviating_compass_is_turned_about_the_vertical_by_each_of_its_coefficients() -> None:
@@ -257,3 +278,30 @@ def test_a_deviating_compass_is_turned_about_the_vertical_by_each_of_its_coeffic
         nu, _, h = innovation(Kind.COMPASS, x)
         DATA[Kind.COMPASS][:9] = r.ravel()
         np.testing.assert_allclose(nu, size * h[:, DEVIATION + i], atol=1e-8)
+
+
+def test_the_waters_walk_grows_with_the_waters_own_speed() -> None:
+    """Over one step without motion: the floor and the share of the mean square, P's own part in it as well."""
+    motions = MotionLog()
+    motions.put(standstill(0))
+    share = CONFIG.water_share
+    for speed in (0.0, 0.3):
+        x, p = state(np.zeros(40)), 1e-4 * np.eye(N)
+        x[X_PARAMETERS:X_DEVIATION] = 0.0
+        x[X_PARAMETERS + 12] = speed
+        propagate(x, p, motions.rows, 1, 0.0, 1.0, 0.01, CONFIG)
+        expected = 0.01 * (1e-6 + share * (0.5 * speed**2 + 1e-4))
+        assert p[WATER + 1, WATER + 1] - 1e-4 == pytest.approx(expected, rel=1e-6)
+
+
+def test_parameters_with_what_is_further_known_are_one_gaussian_and_without_the_old_fifteen() -> None:
+    c = covariance(3)[:22, :22]
+    known = VehicleParameters(0, "map", np.ones(15), c[:15, :15].copy(), np.zeros(7), c[15:].copy())
+    np.testing.assert_array_equal(joint_covariance(known), c)
+    bare = VehicleParameters(0, "map", np.ones(15), c[:15, :15].copy())
+    np.testing.assert_array_equal(joint_covariance(bare), c[:15, :15])
+    assert usable_parameters(known)
+    assert usable_parameters(bare)
+    for spoilt in (np.full(7, np.nan), np.zeros(7)):
+        wrong = VehicleParameters(0, "map", np.ones(15), c[:15, :15].copy(), spoilt, -c[15:])
+        assert not usable_parameters(wrong)

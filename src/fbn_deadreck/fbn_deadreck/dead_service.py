@@ -12,7 +12,7 @@ import numpy as np
 from fbn_common.lie import quaternion_from_matrix, rpy_from_matrix, rpy_jacobian, skew
 from fbn_common.motion_ekf.adopt import gained_information
 from fbn_common.motion_ekf.core import State
-from fbn_common.motion_ekf.layout import DAMPING, DEPTH, DEVIATION, THRUST, VELOCITY, WATER, X_PARAMETERS, X_VELOCITY
+from fbn_common.motion_ekf.layout import DAMPING, DEVIATION, THRUST, VELOCITY, WATER, X_PARAMETERS, X_VELOCITY
 from fbn_common.motion_ekf.measure import deviation_waves
 from fbn_common.motion_ekf.propagate import rotation_of
 from fbn_common.records import Pose
@@ -77,7 +77,8 @@ def drift_covariance(state: State) -> Mat3:
 def heading_deviation(state: State) -> float:
     """Standard deviation [rad] of the compass's deviation at this attitude: no number of pings averages it away."""
     waves = deviation_waves(rotation_of(state.x))
-    return float(np.sqrt(waves @ state.covariance[DEVIATION:DEPTH, DEVIATION:DEPTH] @ waves))
+    own = slice(DEVIATION, DEVIATION + len(waves))
+    return float(np.sqrt(waves @ state.covariance[own, own] @ waves))
 
 
 def fast_velocity(state: State) -> Mat3:

@@ -12,11 +12,11 @@ import pytest
 from fbn_common.estimator import Level, Output
 from fbn_common.graph import GRAPH
 from fbn_common.lie import matrix_from_quaternion, so3_log
-from fbn_common.records import Imu, Innovation, Odometry, Record, Verdict
+from fbn_common.records import Imu, Innovation, Odometry, Record, VehicleParameters, Verdict
 from fbn_common.types import Array
 from fbn_deadreck.estimator import Deadreck
 from fbn_deadreck.parameters import DeadreckParameters
-from fbn_predict.parameters import PredictParameters
+from fbn_predict.parameters import PredictParameters, prior
 from fbn_predict.twin import START_NS, Arrivals, Twin, on_time, ping, sail
 
 Late = Callable[[Twin, int, float], Arrivals]
@@ -256,6 +256,26 @@ def test_missing_motions_are_stepped_over_with_doubt(twin: Twin) -> None:
     assert deadreck.ekf.head_ns == START_NS + 20_000_000_000
     assert deadreck.health().values["bridged"] == 50
     assert any("missing" in a.reason for a in answers(outputs, "predict"))
+
+
+def test_a_deviation_told_by_reference_turns_yaw_without_a_jump(
+    sailed: Sailed, twin: Twin, voyage: tuple[list[Output], Deadreck]
+) -> None:
+    told, deviation = START_NS + 30_000_000_000, np.zeros(7)
+    deviation[0] = 0.02
+    belief = prior(PredictParameters().dynamics, PredictParameters().doubt)
+    known = np.hstack((np.zeros((7, 15)), np.diag([0.005**2] * 5 + [0.1**2] * 2)))
+    record = VehicleParameters(told, "map", *belief, deviation, known)
+    without = odometry(voyage[0])
+    lines = odometry(sailed(sorted([*on_time(twin), (told, "predict/parameters", record)], key=lambda a: a[0]))[0])
+    turned = np.array([difference(a, b)[1] for a, b in zip(without, lines, strict=True)])
+    after = np.array([line.stamp_ns for line in lines]) > told + 20_000_000_000
+    assert abs(np.median(turned[after]) - 0.02) < 0.004  # what is left of its time constant of 600 s: 3 to 10 %
+    # yaw given the deviation is the mean of some ten measurements, as turn rates are off by 0.008 rad/s over their
+    # 0.1 s: a gain of 0.1 to 0.2 a measurement, no step of more than a quarter of what was told
+    assert np.abs(np.diff(turned)).max() < 0.25 * 0.02
+    variance = np.array([line.pose_covariance[5, 5] for line in lines])
+    assert np.median(variance[after]) < 0.4 * np.median([line.pose_covariance[5, 5] for line in without])
 
 
 def test_yaw_is_never_surer_than_the_compass_deviates(voyage: tuple[list[Output], Deadreck]) -> None:

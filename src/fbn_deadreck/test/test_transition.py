@@ -11,10 +11,13 @@ from fbn_common.motion_ekf.filter import FilterParameters, MotionFilter
 from fbn_common.motion_ekf.layout import (
     ESTIMATED_REFERENCE,
     GRID_NS,
+    LAYER,
+    LOSS,
     SIZE_REFERENCE,
-    SURFACE,
     THRUST,
     WATER,
+    X_DEVIATION,
+    X_LAYER,
     X_PARAMETERS,
     X_SIZE,
     X_VELOCITY,
@@ -34,7 +37,7 @@ N = SIZE_REFERENCE
 def config() -> Config:
     """A filter's, with nothing but the transition left."""
     base = MotionFilter(FilterParameters(), {}, 4).config()
-    return base._replace(estimated=ESTIMATED_REFERENCE, walk=np.zeros(15), tau=np.full(13, 1e15))
+    return base._replace(estimated=ESTIMATED_REFERENCE, walk=np.zeros(15), water_share=0.0, tau=np.full(13, 1e15))
 
 
 CONFIG = config()
@@ -58,7 +61,7 @@ K = 250
 
 
 def error(a: Array, b: Array) -> Array:
-    """``b (-) a`` (27,)."""
+    """``b (-) a`` (34,)."""
     turn = so3_log(np.ascontiguousarray(rotation_of(a).T @ rotation_of(b)))
     return np.concatenate((b[:3] - a[:3], turn, b[X_VELOCITY:] - a[X_VELOCITY:]))
 
@@ -71,8 +74,9 @@ def test_the_transition_equals_its_numerical_derivative_at_any_heading(u: Array)
     used = rows.attitude[K].reshape(3, 3)
     set_rotation(x0, matrix_from_rpy(np.array([0.0, 0.0, 3.0 * u[0]])) @ used @ matrix_from_rpy(0.001 * u[1:4]))
     x0[X_VELOCITY:X_PARAMETERS] = rows.mean[K, 6:12] + 0.02 * u[4:10]
-    x0[X_PARAMETERS:] = rows.parameters[K] * (1.0 + 0.05 * u[10:25])
-    x0[-3:] = 0.1 * u[25:28]
+    x0[X_PARAMETERS:X_DEVIATION] = rows.parameters[K] * (1.0 + 0.05 * u[10:25])
+    x0[X_PARAMETERS + 12 : X_DEVIATION] = 0.1 * u[25:28]
+    x0[X_LAYER:] = 0.1 * u[28:30]
     x0[2] = -0.1  # near the surface
     rows.noise[K] = 0.0
 
@@ -82,18 +86,21 @@ def test_the_transition_equals_its_numerical_derivative_at_any_heading(u: Array)
         propagate(x, np.eye(N), rows, K, 0.0, 1.0, GRID_NS * 1e-9, CONFIG)
         return x
 
-    nominal, h = moved(np.zeros(27)), 1e-6
+    n = ESTIMATED_REFERENCE
+    nominal, h = moved(np.zeros(n)), 1e-6
     f = np.eye(N)
-    columns = [(error(nominal, moved(h * e)) - error(nominal, moved(-h * e))) / (2 * h) for e in np.eye(27)]
-    f[:27, :27] = np.column_stack(columns)
+    columns = [(error(nominal, moved(h * e)) - error(nominal, moved(-h * e))) / (2 * h) for e in np.eye(n)]
+    f[:n, :n] = np.column_stack(columns)
     # thrust lost takes its share of the gain ahead; the top layer's motion adds to the water's, less with depth
-    f[:12, SURFACE] = -x0[X_PARAMETERS + 9] * f[:12, THRUST]
-    f[:12, SURFACE + 1 : SURFACE + 3] = np.exp(-0.1 / CONFIG.layer_depth) * f[:12, WATER : WATER + 2]
+    f[:12, LOSS] = -x0[X_PARAMETERS + 9] * f[:12, THRUST]
+    fade = np.exp(-0.1 / CONFIG.layer_depth)
+    np.testing.assert_allclose(f[:12, LAYER : LAYER + 2], fade * f[:12, WATER : WATER + 2], atol=1e-9)
     p = np.eye(N)
     propagate(x0.copy(), p, rows, K, 0.0, 1.0, GRID_NS * 1e-9, CONFIG)
     # left out: second-order terms of the motion's own linearisation; the largest is righting, 19 1/s^2, by
     # an offset of 0.001 rad, over 0.01 s, and damping's derivative by an offset of 0.02 m/s, both ways; and water of
     # another speed than the motion was computed with, which drags another way when the vehicle turns
-    offset = np.linalg.norm(x0[-3:] - rows.parameters[K, -3:])
+    water = x0[X_PARAMETERS + 12 : X_DEVIATION] + fade * np.array([*x0[X_LAYER:], 0.0])
+    offset = np.linalg.norm(water - rows.parameters[K, -3:])
     turned = GRID_NS * 1e-9 * 1.05 * rows.parameters[K, 3:6].max() * offset
     np.testing.assert_allclose(p, f @ f.T, atol=6e-4 + turned)

@@ -56,16 +56,34 @@ def positive(h: Hypothesis, null: Hypothesis, memory: Memory, p: ScoringParamete
 
 def negative_information(h: Hypothesis, field: Field, memory: Memory, p: ScoringParameters) -> float:
     """Log chance of all that was not seen under a hypothesis."""
+    return float(log_misses(h, field, memory, p).sum())
+
+
+def existences(h: Hypothesis, field: Field, memory: Memory, p: ScoringParameters) -> dict[int, float]:
+    """Chance that each map feature in the state is there, by row, given the remembered sweeps in which it was not seen.
+
+    By Bayes' rule ``p P(missed) / (1 - p + p P(missed))``; 1 once matched.  The null says nothing of the map.
+    """
+    if h.is_null:
+        return {}
+    rows, matched = h.state.ids(Kind.MAP), set(h.rows)
+    missed_all = np.exp(log_misses(h, field, memory, p))  # 1 - p + p P(missed)
+    given = 1.0 - (1.0 - field.existence[list(rows)]) / missed_all
+    return {row: 1.0 if row in matched else float(g) for row, g in zip(rows, given, strict=True)}
+
+
+def log_misses(h: Hypothesis, field: Field, memory: Memory, p: ScoringParameters) -> Array:
+    """Log chance (rows,) of what was not seen of each map feature in the state."""
     rows = np.array(h.state.ids(Kind.MAP), dtype=np.int64)
     sequences = [s for s in memory.sequences() if Block(Kind.ORIGIN, s) in h.state]
     if len(rows) == 0 or not sequences:
-        return 0.0
+        return np.zeros(len(rows))
     relative, covariance = relative_places(h.state, rows, sequences)
     counts = scan_counts(relative, covariance, memory.sweeps(tuple(sequences)))
     detected = detections(h, rows, sequences, memory)
     existence = np.where(detected.any(axis=1) | np.isin(rows, h.rows), 1.0, field.existence[rows])
     visible = visibility(h, rows, field, memory, p)
-    return float(log_missed(counts, detected, visible, existence, p.promotion_detections, p.missed_floor).sum())
+    return log_missed(counts, detected, visible, existence, p.promotion_detections, p.missed_floor)
 
 
 def relative_places(state: State, rows: Rows, sequences: list[int]) -> tuple[Array, Array]:

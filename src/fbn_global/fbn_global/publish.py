@@ -21,7 +21,7 @@ from fbn_global.bank import Bank
 from fbn_global.field import Field, Rows
 from fbn_global.hypotheses import Hypothesis
 from fbn_global.memory import Memory
-from fbn_global.naps import visibility
+from fbn_global.naps import existences, visibility
 from fbn_global.parameters import ScoringParameters
 from fbn_global.state import POSE, Block, Indices, Kind, State
 from fbn_global.target import Target, rpy_inverse
@@ -102,14 +102,14 @@ def _prior_features(
 ) -> tuple[list[MapFeature], list[Array], list[Indices | None]]:
     rows = _told(h.state, field)
     visible = visibility(h, rows, field, memory, p)
-    matched = set(h.rows)
+    there = existences(h, field, memory, p)
     features: list[MapFeature] = []
     columns: list[Indices | None] = []
     for n, row in enumerate(rows.tolist()):
         f, block = field.features[row], Block(Kind.MAP, row)
         held = block in h.state
         position = h.state.mean[h.state.span(block)].copy() if held else field.position[row].copy()
-        existence = 1.0 if row in matched else float(field.existence[row])
+        existence = there.get(row, float(field.existence[row]))
         features.append(MapFeature(f.id, f.name, True, existence, float(visible[n]), f.target, position))
         columns.append(h.state.columns(block) if held else None)
     return features, [f.position for f in features], columns

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
 from fbn_common.estimator import Health, Level, Output
 from fbn_common.lie import matrix_from_quaternion
+from fbn_common.motion_ekf.adopt import usable_parameters
 from fbn_common.motion_ekf.layout import GRID_NS
 from fbn_common.motion_ekf.monitor import all_finite, refusal
 from fbn_common.records import JointState, Odometry, PredictedMotion, Record, VehicleParameters, Verdict
@@ -43,8 +45,7 @@ class Predict:
         n = self.slots
         self._commands, self._habit = Commands(), Habit(self.parameters.frozen_after)
         self._ring = new_ring(n)
-        self._prior = prior(self.parameters.dynamics, self.parameters.doubt)
-        self._mean, self._covariance = self._prior.mean.copy(), self._prior.covariance.copy()
+        self._known = VehicleParameters(-1, "map", *prior(self.parameters.dynamics, self.parameters.doubt))
         self._head_ns = self._now_ns = self._first_ns = -1
 
     # --- the two doors ----------------------------------------------------------------------------------
@@ -139,20 +140,14 @@ class Predict:
 
     def _take_parameters(self, record: VehicleParameters) -> list[Output]:
         """Adopt the reference filter's parameters from the next step on; the velocity is not touched."""
-        c = record.covariance
-        if (
-            not all_finite(record.mean, c)
-            or min(record.mean[3:9]) <= 0.0
-            or np.linalg.eigvalsh(0.5 * (c + c.T))[0] < 0.0
-        ):
+        if not usable_parameters(record) or min(record.mean[3:9]) <= 0.0:
             return [self._say(record.stamp_ns, "parameters", "not finite, damping not positive, or not a covariance")]
-        self._mean, self._covariance = record.mean.copy(), record.covariance.copy()
+        self._known = record
         self._counts["parameters.used"] += 1
         return [self._parameters_now()] if self._head_ns >= 0 else []
 
     def _parameters_now(self) -> Output:
-        record = VehicleParameters(self._head_ns, "map", self._mean.copy(), self._covariance.copy())
-        return Output(PARAMETERS, record)
+        return Output(PARAMETERS, replace(self._known, stamp_ns=self._head_ns))
 
     # --- the grid ---------------------------------------------------------------------------------------
 
@@ -182,7 +177,7 @@ class Predict:
         if end <= start:
             return []
         slots = (start // GRID_NS + np.arange((end - start) // GRID_NS + 1)) % self.slots
-        self._ring.parameters[slots[:-1]] = self._mean
+        self._ring.parameters[slots[:-1]] = self._known.mean
         self._ring.feedback[slots[1:]] = False  # the ring's last round
         self._head_ns = end
         motions = self._roll(start, end, wanted=True)
@@ -220,6 +215,6 @@ class Predict:
         self._head_ns = self._first_ns = 0
         self._integrate(2 * GRID_NS)
         self._roll(0, GRID_NS, wanted=False)
-        self._silence(self._mean)
+        self._silence(self._known.mean)
         matrix_from_quaternion(np.array([0.0, 0.0, 0.0, 1.0]))
         self._reset()

@@ -15,12 +15,14 @@ from fbn_common.motion_ekf.intake import Intake
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
     BEACON_ROW,
-    COMPASS,
     ESTIMATED_REFERENCE,
     GPS,
     GPS_ROW,
+    LAYER,
+    OWN,
     SIZE_REFERENCE,
     WATER,
+    X_DEVIATION,
     X_PARAMETERS,
     Config,
     IntArray,
@@ -66,7 +68,7 @@ class Reference(MotionFilter):
         """The kernels' numbers."""
         gps, lbl = self.own.gps, self.own.lbl
         base = super().config()
-        base.tau[GPS - COMPASS :] = gps.time_constant
+        base.tau[GPS - OWN :] = gps.time_constant
         base.lever[Kind.POSITION], base.lever[Kind.RANGE] = gps.position, lbl.position
         base.lockout[Kind.RANGE] = lbl.lockout
         base.gate[:, Kind.RANGE] = quantile_table({Kind.RANGE: lbl.gate})[:, Kind.RANGE]
@@ -215,10 +217,11 @@ class Reference(MotionFilter):
     def _parameters_record(self) -> VehicleParameters:
         state = self.ekf.state
         self._parameters_ns = state.stamp_ns
-        block = slice(ACTUATION, WATER + 3)
+        block, further = slice(ACTUATION, WATER + 3), slice(WATER + 3, LAYER + 2)
         return VehicleParameters(
-            state.stamp_ns, "map", state.x[X_PARAMETERS:].copy(), state.covariance[block, block].copy()
-        )
+            state.stamp_ns, "map", state.x[X_PARAMETERS:X_DEVIATION].copy(), state.covariance[block, block].copy(),
+            state.x[X_DEVIATION:].copy(), state.covariance[further, ACTUATION : LAYER + 2].copy(),
+        )  # fmt: skip
 
     def _gained(self) -> list[Output]:
         """Follow the measurements of position that are settled; publish their information when it is worth it."""

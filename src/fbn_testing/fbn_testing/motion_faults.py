@@ -73,6 +73,11 @@ def voyage(seed: int) -> tuple[Twin, list[Entry]]:
     return twin, sorted(entries, key=lambda e: e.log_time_ns)
 
 
+def heard_with(entries: list[Entry], topic: str) -> list[Entry]:
+    """The voyage to spoil a sensor on: GPS without beacons, beside which it would have nothing to say."""
+    return [e for e in entries if topic != "gps/fix" or e.topic != "lbl/range"]
+
+
 def _fixes(twin: Twin, rng: np.random.Generator) -> Iterator[Entry]:
     slow = rng.normal(0.0, 1.6, 2)
     for k in range(100, len(twin.stamp_ns), 100):

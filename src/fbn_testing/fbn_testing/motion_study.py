@@ -2,10 +2,12 @@
 
 python -m fbn_testing.motion_study transit --seeds 0:50
 python -m fbn_testing.motion_study transit --seeds 0:50 --current 0.2 --compare --figure transit.png
+python -m fbn_testing.motion_study transit --seeds 0:50 --without-considered
 python -m fbn_testing.motion_study faults
 
 Only predict, dead reckoning and reference run, on ``no_map_transit``: four calibration dives, then 1.7 km under
-water; ``faults`` spoils each sensor in each way for 25 s of a short voyage.  ``--scenario`` and ``--set`` change the
+water; ``--without-considered`` also runs them with the sensors' lasting errors taken for white noise; ``faults`` spoils
+each sensor in each way for 25 s of a short voyage.  ``--scenario`` and ``--set`` change the
 simulator's and the estimators' parameters (as in ``fbn``'s ``--set``).
 """
 
@@ -21,7 +23,7 @@ import yaml
 
 from fbn_bringup.ui import number, out, progress, table
 from fbn_common import chi_square
-from fbn_testing.motion_faults import BEGIN_S, END_S, KINDS, SENSORS, Cell, cell, listen, voyage
+from fbn_testing.motion_faults import BEGIN_S, END_S, KINDS, SENSORS, Cell, cell, heard_with, listen, voyage
 from fbn_testing.motion_voyage import NIS_GROUPS, Judged, front_half, in_map, judge, navigate, transit
 
 MEASURES = {
@@ -32,12 +34,29 @@ MEASURES = {
     "current_sigma": "current, stated sigma [m/s]",
 }
 NEES = {  # name: title, degrees of freedom of a seed's sample (0: its samples are correlated, no band)
+    "nees_ten_minutes": ("dead reckoning x, y, ten minutes into the dive", 2),
     "nees_drift_xy": ("dead reckoning x, y at the end", 2),
     "nees_reference_xy": ("reference x, y before surfacing", 2),
     "nees_current": ("current at the dive's start", 2),
     "nees_z": ("dead reckoning z", 0),
     "nees_tilt": ("dead reckoning roll, pitch", 0),
     "nees_yaw": ("dead reckoning yaw", 0),
+}
+
+
+AS_WHITE = {  # lasting errors of sensors and surface: none, and all that is stated is white
+    f"{node}.{name}": value
+    for node in ("deadreck", "reference")
+    for name, value in {
+        "compass.white": 1.0,
+        "compass.deviation": 0.0,
+        "compass.tilt": 0.0,
+        "depth.white": 1.0,
+        "depth.bias": 1e-3,
+        "depth.density_sigma": 0.0,
+        "surface.loss": 0.0,
+        "surface.layer": 0.0,
+    }.items()
 }
 
 
@@ -94,7 +113,7 @@ def figure(path: Path, title: str, groups: dict[str, list[Judged]]) -> None:
     from matplotlib import pyplot as plt
 
     fig, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
-    for colour, (label, found) in zip(("tab:blue", "tab:orange"), groups.items(), strict=False):
+    for colour, (label, found) in zip(("tab:blue", "tab:orange", "tab:green"), groups.items(), strict=False):
         grid = np.arange(0.0, min(j.distance[-1] for j in found), 5.0)
         lines = np.array([np.interp(grid, j.distance, j.drift) for j in found])
         axes.plot(grid, lines.T, color=colour, alpha=0.25, linewidth=0.8)
@@ -111,11 +130,15 @@ def figure(path: Path, title: str, groups: dict[str, list[Judged]]) -> None:
 
 def _transit(a: argparse.Namespace) -> None:
     seeds, scenario, settings = seed_range(a.seeds), assignments(a.scenario), assignments(a.set)
+    kinds: dict[str, tuple[dict[str, Any], bool]] = {"parameters shared": (settings, True)}
+    if a.compare:
+        kinds["not shared"] = (settings, False)
+    if a.without_considered:
+        kinds["lasting errors as white noise"] = (AS_WHITE | settings, True)
     groups = {}
-    for label, shared in (("parameters shared", True), ("not shared", False)):
-        if shared or a.compare:
-            groups[label] = voyages(seeds, a.current, scenario, settings, shared)
-            report(f"no_map_transit, current {a.current:g} m/s, {label}", groups[label])
+    for label, (chosen, shared) in kinds.items():
+        groups[label] = voyages(seeds, a.current, scenario, chosen, shared)
+        report(f"no_map_transit, current {a.current:g} m/s, {label}", groups[label])
     if a.figure:
         figure(a.figure, f"current {a.current:g} m/s, {len(seeds)} seeds", groups)
 
@@ -123,11 +146,13 @@ def _transit(a: argparse.Namespace) -> None:
 def _faults(a: argparse.Namespace) -> None:
     twin, entries = voyage(int(a.seed))
     chosen = [(topic, kind) for topic in SENSORS for kind in KINDS if a.only in (None, topic, kind)]
-    good, rows = listen(entries), []
+    logs = {topic: heard_with(entries, topic) for topic in SENSORS}
+    good, rows = {len(log): listen(log) for log in logs.values()}, []
     with progress("faults") as advance:
         for i, (topic, kind) in enumerate(chosen):
             advance(i / len(chosen), f"{topic} {kind}")
-            rows.append(cell(twin, entries, good, topic, kind))
+            log = logs[topic]
+            rows.append(cell(twin, log, good[len(log)], topic, kind))
     fault_report(rows)
 
 
@@ -166,6 +191,7 @@ def main() -> None:
     p.add_argument("--seeds", default="1000:1005", metavar="A:B", help="tune on 1000 and up, report below")
     p.add_argument("--current", type=float, default=0.0, metavar="M_S", help="mean speed of the deep current")
     p.add_argument("--compare", action="store_true", help="also without shared parameters")
+    p.add_argument("--without-considered", action="store_true", help="also with lasting errors taken for white noise")
     p.add_argument("--figure", type=Path, metavar="PNG", help="error against distance")
     p.add_argument("--scenario", action="append", default=[], metavar="NAME=VALUE", help="of the simulator")
     p.add_argument("--set", action="append", default=[], metavar="NODE.NAME=VALUE", help="of an estimator")

@@ -122,6 +122,7 @@ def judge(simulation: Simulation, kept: Kept) -> Judged:
         "drift_percent": gone.percent,
         "reference_percent": 100.0 * float(absolute.horizontal[at_end]) / gone.distance,
         "yaw_deg": float(np.degrees(np.sqrt(np.mean(own.rotation[within, 2] ** 2)))),
+        "nees_ten_minutes": _nees(own, within[_after(own, within, 600.0)], slice(0, 2)),
         "nees_drift_xy": _nees(own, within[-1:], slice(0, 2)),
         "nees_reference_xy": _nees(absolute, np.array([at_end]), slice(0, 2)),
         "nees_z": _nees(own, within[::60], slice(2, 3)),
@@ -136,6 +137,13 @@ def judge(simulation: Simulation, kept: Kept) -> Judged:
 def _rows(errors: ErrorSeries, leg: Dive) -> Stamps:
     stamps = errors.track.stamp_ns
     return np.flatnonzero((stamps >= leg.start_ns) & (stamps <= leg.end_ns)).astype(np.int64)
+
+
+def _after(errors: ErrorSeries, rows: Stamps, seconds: float) -> slice:
+    """Place within some rows of an error series of the last one no later than this after the first."""
+    stamps = errors.track.stamp_ns[rows]
+    last = int(np.searchsorted(stamps, stamps[0] + int(seconds * NS), side="right")) - 1
+    return slice(last, last + 1)
 
 
 def _nees(errors: ErrorSeries, rows: Stamps, part: slice) -> float:

@@ -5,22 +5,45 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from fbn_common.records import VehicleParameters
 from fbn_common.types import Array
 
 
-def adopt_covariance(p: Array, states: slice, covariance: Array) -> None:
+def joint_covariance(record: VehicleParameters) -> Array:
+    """Covariance (22, 22) of the 15 parameters and the further ones; (15, 15) where those are not stated."""
+    if not record.further_covariance.any():
+        return record.covariance
+    cross, own = record.further_covariance[:, :15], record.further_covariance[:, 15:]
+    return np.block([[record.covariance, cross.T], [cross, own]])
+
+
+def usable_parameters(record: VehicleParameters) -> bool:
+    """Whether all is finite, and the covariance one."""
+    numbers = (record.mean, record.covariance, record.further, record.further_covariance)
+    if not all(np.isfinite(n).all() for n in numbers):
+        return False
+    c = joint_covariance(record)
+    return bool(np.linalg.eigvalsh(0.5 * (c + c.T))[0] >= -1e-12 * np.trace(c))
+
+
+def adopt_covariance(p: Array, states: slice, covariance: Array, followers: slice = slice(0, 0)) -> None:
     """Give the considered ``states`` of ``p`` (n, n) the covariance (m, m), in place; correlations follow.
 
     In the basis where the old covariance is I and the new one diagonal, a direction that became better known (by
     the others' measurements, of which the rest of the state knows nothing) keeps that share of its correlation;
-    one that became less known keeps all of it.  So ``p`` stays positive definite.
+    one that became less known keeps all of it.  ``followers``, whose mean will follow the states', become better known
+    as by a measurement of the states; all others stay as uncertain as they are, which against that measurement's
+    posterior adds a positive semidefinite block (Schmidt).  So ``p`` stays positive definite.
     """
     old = np.linalg.cholesky(p[states, states])
     whitened = solve_triangular(old, solve_triangular(old, covariance, lower=True).T, lower=True)
     values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
     basis = old @ vectors
-    keep = basis @ np.diag(np.minimum(values, 1.0)) @ solve_triangular(old.T, vectors).T
-    cross = p[:, states] @ keep.T
+    kept, inverse = np.minimum(values, 1.0), solve_triangular(old.T, vectors)
+    cross = p[:, states] @ (basis @ np.diag(kept) @ inverse.T).T
+    learnt = p[:, states] @ inverse * np.sqrt(1.0 - kept)
+    p[followers, :] -= learnt[followers] @ learnt.T
+    p[:, followers] = p[followers, :].T
     p[:, states] = cross
     p[states, :] = cross.T
     p[states, states] = 0.5 * (covariance + covariance.T)

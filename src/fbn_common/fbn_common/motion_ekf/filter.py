@@ -8,26 +8,27 @@ from typing import Any
 import numpy as np
 
 from fbn_common.estimator import Health, Level, Output
-from fbn_common.motion_ekf.adopt import adopt_covariance
+from fbn_common.motion_ekf.adopt import adopt_covariance, joint_covariance, usable_parameters
 from fbn_common.motion_ekf.core import MotionEkf, State
 from fbn_common.motion_ekf.intake import Intake
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
     CLIMB_ROW,
-    COMPASS,
     COMPASS_ROW,
     DAMPING,
     DEPTH_ROW,
     GRID_NS,
+    OWN,
     POSITION,
+    ROTATION,
     SIZE_DEADRECK,
     SNAPSHOT_NS,
-    WATER,
+    X_DEVIATION,
     Config,
     IntArray,
     Kind,
 )
-from fbn_common.motion_ekf.monitor import Watch, all_finite, content_of, health_of, refusal
+from fbn_common.motion_ekf.monitor import Watch, content_of, health_of, refusal
 from fbn_common.motion_ekf.output import odometry
 from fbn_common.motion_ekf.parameters import (
     AltimeterParameters,
@@ -96,8 +97,8 @@ class MotionFilter:
             lockout[intake.kind] = intake.parameters.lockout
         lever[Kind.DEPTH] = p.depth.position
         return Config(
-            self.estimated, self.corrects(), SNAPSHOT_NS, walk, limit, tau, variance, p.compass.dip,
-            p.compass.wave_acceleration, p.compass.wave_depth, p.surface.depth, p.surface.layer_depth,
+            self.estimated, self.corrects(), SNAPSHOT_NS, walk, limit, p.walk.water_share**2 / 3600.0, tau, variance,
+            p.compass.dip, p.compass.wave_acceleration, p.compass.wave_depth, p.surface.depth, p.surface.layer_depth,
             p.depth.density_sigma / p.depth.bias, quantile_table(gates), lockout, lever, 1.0, 1.0, 1.0, True, 60.0,
         )  # fmt: skip
 
@@ -250,8 +251,7 @@ class MotionFilter:
         return out
 
     def _take_parameters(self, record: VehicleParameters) -> list[Output]:
-        c = record.covariance
-        if not all_finite(record.mean, c) or np.linalg.eigvalsh(0.5 * (c + c.T))[0] < 0.0:
+        if not usable_parameters(record):
             return [self._say(record.stamp_ns, "parameters", Verdict.REFUSED, "not finite, or not a covariance")]
         if self._prior is None:
             self._prior = record
@@ -263,10 +263,15 @@ class MotionFilter:
         return []
 
     def _adopt(self, slot: int, x: Array, p: Array) -> None:
-        """Take over the covariance of the considered parameters; their mean comes with each motion."""
+        """Take over what reference knows; the mean of the considered parameters comes with each motion."""
         record = self._adoptions.get(slot)
-        if record is not None:
-            adopt_covariance(p, slice(DAMPING, WATER + 3), record.covariance[3:, 3:] + 1e-12 * np.eye(12))
+        if record is None:
+            return
+        known = joint_covariance(record)[3:, 3:]
+        if len(known) > 12:
+            x[X_DEVIATION:] = record.further
+        states, attitude = slice(DAMPING, DAMPING + len(known)), slice(ROTATION, ROTATION + 3)
+        adopt_covariance(p, states, known + 1e-12 * np.eye(len(known)), attitude)
 
     # --- start, gaps ------------------------------------------------------------------------------------
 
@@ -310,7 +315,7 @@ class MotionFilter:
         if pressure is not None:
             depth = depth_data(pressure, self.parameters.depth)
             depth[0] -= compass[6:9] @ np.array(self.parameters.depth.position)
-        own = self.ekf.config.variance[: self.size - COMPASS]
+        own = self.ekf.config.variance[: self.size - OWN]
         velocity = motions.mean[k, 6:12]
         return first_state(t0, compass, depth, self._prior, velocity, self.position_variance(), own, self.rows)
 

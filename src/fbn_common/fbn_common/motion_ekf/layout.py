@@ -1,8 +1,9 @@
 """Where everything is: the state, the error state, the motions and the measurements as the kernels see them.
 
 The state ``x`` is one flat array: position 3 (world) | rotation 9 (R_world_base, row-major) | velocity 6 |
-parameters 15.  The error state has position 3 (world), rotation 3 (body), velocity 6, angular actuation 3,
-damping 6, linear actuation 3, water velocity 3, then considered sensor states of zero mean.
+parameters 15 | deviation 5 | top layer's water 2.  The error state has position 3 (world), rotation 3 (body),
+velocity 6, angular actuation 3, damping 6, linear actuation 3, water velocity 3, deviation 5, top layer 2, then
+considered states of zero mean.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ SNAPSHOT_NS: Final = 3 * GRID_NS  # a snapshot of the filter, and a line of odom
 X_ROTATION: Final = 3
 X_VELOCITY: Final = 12
 X_PARAMETERS: Final = 18
-X_SIZE: Final = 33
+X_DEVIATION: Final = 33
+X_LAYER: Final = 38
+X_SIZE: Final = 40
 
 # the error state
 POSITION: Final = 0
@@ -34,15 +37,17 @@ ACTUATION: Final = 12  # angular; the 15 parameters start here
 DAMPING: Final = 15
 THRUST: Final = 21
 WATER: Final = 24
-COMPASS: Final = 27  # considered: tilt about body x and y [rad], then deviation of yaw
-DEVIATION: Final = 29  # considered: constant, sine and cosine of the heading, sine and cosine of twice that [rad]
-DEPTH: Final = 34  # considered: bias of depth [m]
-SURFACE: Final = 35  # considered: share of thrust lost at the surface, water of the top layer east, north [m/s]
+OWN: Final = 27  # from here on: errors of sensors and surface, which decorrelate to zero mean
+DEVIATION: Final = 27  # of yaw: constant, sine and cosine of the heading, sine and cosine of twice that [rad]
+LAYER: Final = 32  # water of the top layer less that below, east, north [m/s]
+LOSS: Final = 34  # considered: share of thrust lost at the surface
+TILT: Final = 35  # considered: of the compass about body x and y [rad]
+DEPTH: Final = 37  # considered: bias of depth [m]
 GPS: Final = 38  # considered: the correlated part of a fix, in units of its standard deviation
 SIZE_DEADRECK: Final = 38
 SIZE_REFERENCE: Final = 40
 ESTIMATED_DEADRECK: Final = 15
-ESTIMATED_REFERENCE: Final = 27
+ESTIMATED_REFERENCE: Final = 34
 DATA_SIZE: Final = 18
 OUT_SIZE: Final = 10
 
@@ -117,7 +122,8 @@ class Config(NamedTuple):
     snapshot_ns: int
     walk: Array  # (15,) power spectral density of the parameters' random walks
     limit: Array  # (15,) variance above which the walk of a parameter stops
-    tau: Array  # (13,) correlation time of the considered states from COMPASS on [s]
+    water_share: float  # spectral density of the water's walk over its mean square [1/s]
+    tau: Array  # (13,) correlation time of the states from OWN on [s]
     variance: Array  # (13,) their stationary variance
     dip: float  # inclination of the earth's magnetic field [rad]
     wave_acceleration: float  # standard deviation at the surface [m/s^2]

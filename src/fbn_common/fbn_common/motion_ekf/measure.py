@@ -9,17 +9,18 @@ from __future__ import annotations
 import numpy as np
 
 from fbn_common.kernels import kernel
-from fbn_common.lie import so3_exp, so3_log
+from fbn_common.lie import product, so3_exp, so3_log
 from fbn_common.motion_ekf.layout import (
     ALTITUDE,
     ALTITUDE_TIME,
-    COMPASS,
     DEPTH,
     DEVIATION,
     GPS,
     POSITION,
     ROTATION,
+    TILT,
     VELOCITY,
+    X_DEVIATION,
     X_PARAMETERS,
     X_SIZE,
     X_VELOCITY,
@@ -53,15 +54,14 @@ def _compass(
     Its accelerometers take the acceleration of turns and waves for gravity, and the dipping field leaks into yaw.
     """
     r, measured = rotation_of(x), data[0:9].reshape(3, 3)
-    difference = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                difference[i, j] += r[k, i] * measured[k, j]
-    nu[0:3] = so3_log(difference)
     waves = deviation_waves(r)
+    deviation = 0.0
+    for c in range(5):
+        deviation += waves[c] * x[X_DEVIATION + c]
+    believed = product(so3_exp(np.array([0.0, 0.0, deviation])), r)
+    nu[0:3] = so3_log(product(np.ascontiguousarray(believed.T), measured))
     for i in range(2):
-        columns[3 + i], h[i, 3 + i] = COMPASS + i, 1.0
+        columns[3 + i], h[i, 3 + i] = TILT + i, 1.0
     for c in range(5):
         columns[5 + c] = DEVIATION + c
         for i in range(3):
@@ -287,7 +287,7 @@ def correct(x: Array, p: Array, gain: Array, white: Array, first: int, estimated
 
 @kernel
 def apply_error(x: Array, dx: Array) -> None:
-    """``x <- x (+) dx``: position, velocity and parameters add; the rotation is perturbed on the right."""
+    """``x <- x (+) dx``: all add but the rotation, which is perturbed on the right."""
     r, turn = rotation_of(x), so3_exp(dx[ROTATION : ROTATION + 3])
     out = np.zeros((3, 3))
     for i in range(3):

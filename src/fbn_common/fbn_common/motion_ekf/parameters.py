@@ -33,7 +33,7 @@ class SensorParameters:
 class CompassParameters(SensorParameters):
     """Three-axis compass: white noise, and an error that stays with time and heading."""
 
-    white: float = param(0.1, "-", "share of the stated variance that is white", "0.5 deg of 2 deg, and a margin")
+    white: float = param(0.12, "-", "share of the stated variance that is white", "0.5 deg of 1.5 deg, and a margin")
     sigma_min: float = param(0.004, "rad", "least standard deviation believed", "0.25 deg")
     sigma_unknown: float = param(0.035, "rad", "standard deviation where none is stated", "2 deg")
     deviation: float = param(0.026, "rad", "standard deviation of the deviation of yaw", "1.5 deg after calibration")
@@ -48,9 +48,9 @@ class CompassParameters(SensorParameters):
     iron_time_constant: float = param(1e5, "s", "correlation time of its parts by heading", "iron stays as it is")
     tilt_time_constant: float = param(1e5, "s", "correlation time of tilt", "a mount does not move")
     wave_acceleration: float = param(
-        0.3, "m/s^2", "standard deviation at the surface, taken for gravity", "waves of 0.25 m, 3 s"
+        0.2, "m/s^2", "standard deviation at the surface, taken for gravity", "waves of 0.25 m, 3 s, damped in 0.5 s"
     )
-    wave_depth: float = param(2.0, "m", "depth over which it falls by e", "waves of 3 s")
+    wave_depth: float = param(2.2, "m", "depth over which it falls by e", "waves of 3 s: g T^2 / (2 pi)^2")
     dip: float = param(
         1.18, "rad", "inclination of the earth's field: acceleration tilts the vertical and turns yaw", "68 deg"
     )
@@ -61,8 +61,11 @@ class DepthParameters(SensorParameters):
     """Pressure sensor."""
 
     sigma: float = param(0.03, "m", "standard deviation where no variance is stated", "0.1 % of 30 m")
+    white: float = param(
+        0.25, "-", "share of the stated variance that is white", "noise is half of the accuracy, at most"
+    )
     sigma_min: float = param(0.005, "m", "least standard deviation believed", "resolution")
-    bias: float = param(0.05, "m", "standard deviation of the offset: tide, air pressure, density", "5 hPa")
+    bias: float = param(0.05, "m", "standard deviation of the offset: tide, air pressure, waves", "5 hPa")
     time_constant: float = param(3600.0, "s", "correlation time of the offset", "weather and tide")
     density: float = param(1012.0, "kg/m^3", "of the water", "between fresh water and sea")
     density_sigma: float = param(0.0125, "-", "its standard deviation, relative", "fresh water or sea")
@@ -86,13 +89,13 @@ class AltimeterParameters(SensorParameters):
 
 @dataclass(frozen=True, slots=True)
 class SurfaceParameters:
-    """What is uncertain about motion at the surface only; considered, never estimated."""
+    """What is different about motion at the surface only; reference estimates the layer, thrust lost is considered."""
 
     loss: float = param(0.03, "-", "standard deviation of the share of thrust lost", "as much as dynamics.surface_loss")
     depth: float = param(0.2, "m", "depth above which thrust is lost", "dynamics.surface_depth")
-    layer: float = param(0.05, "m/s", "standard deviation of the top layer's own motion", "2 % of a light wind; Stokes")
+    layer: float = param(0.1, "m/s", "standard deviation of the top layer's own motion", "3 % of 3 to 4 m/s of wind")
     layer_depth: float = param(0.7, "m", "depth over which that falls by e", "wind-driven layer of sheltered water")
-    layer_time_constant: float = param(300.0, "s", "its correlation time", "gusts")
+    layer_time_constant: float = param(1800.0, "s", "its correlation time", "wind: the layer follows within the hour")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,19 +121,22 @@ class WalkParameters:
     angular_actuation: float = param(0.1, "rad/s^2", "per root hour", "a servo horn slips, a trim changes")
     damping: float = param(0.02, "-", "relative to 0.27 and 1.5 1/s, per root hour", "a hull stays as it is")
     thrust: float = param(0.003, "m/s^2", "per root hour", "1.5 % of terminal speed: battery, growth")
-    water: float = param(0.06, "m/s", "per root hour, east and north", "tide: 0.3 m/s in 6 h, over minutes")
+    water: float = param(0.01, "m/s", "per root hour, east and north, in still water", "seiches, density")
+    water_share: float = param(
+        0.5, "-", "the same over the water's own speed, in addition", "tide of 12.4 h: 2 pi / 12.4 h, rms over rms"
+    )
     water_limit: float = param(0.5, "m/s", "standard deviation at which the water's walk ends", "coastal")
 
 
 def considered(compass: CompassParameters, depth: DepthParameters, surface: SurfaceParameters) -> tuple[Array, Array]:
-    """Correlation times [s] and stationary variances (13,) of the considered states, the fix's own left at 1."""
+    """Correlation times [s] and stationary variances (13,) of the states from OWN on, the fix's own left at 1."""
     once, twice = compass.hard_iron, compass.soft_iron
     shares = np.array([1.0 - once - twice, once, once, twice, twice])  # sine and cosine together make a share
-    tau = [compass.tilt_time_constant] * 2 + [compass.time_constant] + [compass.iron_time_constant] * 4
-    tau += [depth.time_constant, 1e5] + [surface.layer_time_constant] * 2 + [1.0, 1.0]
-    variance = [compass.tilt**2] * 2 + [*(shares * compass.deviation**2)]
-    variance += [depth.bias**2, surface.loss**2] + [surface.layer**2] * 2 + [1.0, 1.0]
-    return np.array(tau), np.array(variance)
+    tau = [compass.time_constant] + [compass.iron_time_constant] * 4 + [surface.layer_time_constant] * 2
+    tau += [1e5] + [compass.tilt_time_constant] * 2 + [depth.time_constant, 1.0, 1.0]
+    variance = [*(shares * compass.deviation**2)] + [surface.layer**2] * 2
+    variance += [surface.loss**2] + [compass.tilt**2] * 2 + [depth.bias**2, 1.0, 1.0]
+    return np.array(tau), np.maximum(variance, 1e-10)  # one switched off stays invertible
 
 
 def ring_sizes(length_s: float, snapshot_ns: int) -> int:

@@ -11,14 +11,17 @@ from fbn_common.kernels import kernel
 from fbn_common.lie import product, skew, so3_exp, so3_log, so3_right_jacobian
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
-    COMPASS,
+    LAYER,
+    OWN,
     POSITION,
     ROTATION,
-    SURFACE,
     THRUST,
     WATER,
+    X_DEVIATION,
+    X_LAYER,
     X_PARAMETERS,
     X_ROTATION,
+    X_SIZE,
     X_VELOCITY,
     Config,
     Motions,
@@ -58,11 +61,22 @@ def set_rotation(x: Array, rotation: Mat3) -> None:
 
 
 @kernel
-def _offsets(x: Array, motions: Motions, k: int, a0: float, estimated: int, d: Array) -> tuple[float, float]:
+def _layer_share(depth: float, config: Config) -> float:
+    """Share of the top layer's motion at a depth [m]; none where that is below a 400th."""
+    if depth > 6.0 * config.layer_depth:
+        return 0.0
+    return float(np.exp(-max(depth, 0.0) / config.layer_depth))
+
+
+@kernel
+def _offsets(
+    x: Array, motions: Motions, k: int, a0: float, estimated: int, share: float, d: Array
+) -> tuple[float, float]:
     """Our state less the one the motion was computed with: rotation 3, velocity 6, parameters 15, into ``d``.
 
     The dynamics do not know the heading but through the water velocity, so ours is first turned to the
-    heading used: heading may differ by any angle.  Returns cosine and sine of that turn.
+    heading used: heading may differ by any angle.  ``share`` of the top layer's motion adds to the water's, which the
+    motion knows nothing of.  Returns cosine and sine of that turn.
     """
     mean, used = motions.mean[k], motions.attitude[k].reshape(3, 3)
     yaw = np.arctan2(used[1, 0], used[0, 0]) - np.arctan2(x[X_ROTATION + 3], x[X_ROTATION])
@@ -91,6 +105,9 @@ def _offsets(x: Array, motions: Motions, k: int, a0: float, estimated: int, d: A
         d[21] = c * wx - s * wy - motions.parameters[k, 12]
         d[22] = s * wx + c * wy - motions.parameters[k, 13]
         d[23] = x[X_PARAMETERS + 14] - motions.parameters[k, 14]
+    east, north = share * x[X_LAYER], share * x[X_LAYER + 1]
+    d[21] += c * east - s * north
+    d[22] += s * east + c * north
     return c, s
 
 
@@ -124,20 +141,19 @@ def _transition(r: Mat3, turn: Mat3, s: Array, phi: Array, jacobian: Array, w: f
 
 
 @kernel
-def _surface(x: Array, f: Array, config: Config) -> tuple[bool, Array]:
-    """Columns (12, 3) of the surface's own states: they act as thrust and water do, and die with depth.
+def _surface(x: Array, f: Array, share: float, config: Config) -> tuple[bool, Array]:
+    """Columns (12, 3) of the surface's own states: top layer and thrust lost; they act as water and thrust do.
 
     The motion's Jacobian has them in it: thrust lost takes from the gain ahead, the top layer adds to the water.
     """
     g = np.zeros((12, 3))
     depth = -x[2]
-    if depth > 6.0 * config.layer_depth and depth > config.surface_depth:
+    if share == 0.0 and depth > config.surface_depth:
         return False, g
     lost = -x[X_PARAMETERS + 9] if depth < config.surface_depth else 0.0
-    layer = np.exp(-max(depth, 0.0) / config.layer_depth)
     for i in range(12):
-        g[i, 0] = lost * f[i, THRUST - ROTATION]
-        g[i, 1], g[i, 2] = layer * f[i, WATER - ROTATION], layer * f[i, WATER - ROTATION + 1]
+        g[i, 0], g[i, 1] = share * f[i, WATER - ROTATION], share * f[i, WATER - ROTATION + 1]
+        g[i, 2] = lost * f[i, THRUST - ROTATION]
     return True, g
 
 
@@ -155,7 +171,7 @@ def _push(p: Array, f: Array, near: bool, g: Array) -> None:
         if near:
             for c in range(3):
                 for j in range(n):
-                    top[i, j] += g[i, c] * p[SURFACE + c, j]
+                    top[i, j] += g[i, c] * p[LAYER + c, j]
     for i in range(12):
         for j in range(12, n):
             p[i, j] = top[i, j]
@@ -166,7 +182,7 @@ def _push(p: Array, f: Array, near: bool, g: Array) -> None:
         for j in range(i + 1):
             if near:
                 for c in range(3):
-                    own[j] += top[i, SURFACE + c] * g[j, c]
+                    own[j] += top[i, LAYER + c] * g[j, c]
             p[i, j] = own[j]
             p[j, i] = own[j]
 
@@ -209,20 +225,29 @@ def _add_noise(p: Array, r: Mat3, turn: Mat3, phi: Array, noise: Array, w: float
 
 
 @kernel
-def _age(p: Array, dt: float, config: Config) -> None:
-    """Random walks of the parameters and decorrelation of the considered states, in place."""
+def _age(x: Array, p: Array, dt: float, config: Config) -> None:
+    """Random walks of the parameters and decorrelation of sensors' and surface's own errors, in place.
+
+    The water's walk grows with the water's own speed, of which the filter expects the mean square.
+    """
+    square = 0.0
+    for i in range(2):
+        square += 0.5 * (x[X_PARAMETERS + 12 + i] ** 2 + p[WATER + i, WATER + i])
     for i in range(15):
         if p[ACTUATION + i, ACTUATION + i] < config.limit[i]:
-            p[ACTUATION + i, ACTUATION + i] += config.walk[i] * dt
+            own = config.water_share * square if i == 12 or i == 13 else 0.0
+            p[ACTUATION + i, ACTUATION + i] += (config.walk[i] + own) * dt
     n = p.shape[0]
     keep = np.ones(n)
-    for b in range(COMPASS, n):
-        keep[b] = np.exp(-dt / config.tau[b - COMPASS])
+    for b in range(OWN, n):
+        keep[b] = np.exp(-dt / config.tau[b - OWN])
+    for i in range(X_SIZE - X_DEVIATION):
+        x[X_DEVIATION + i] *= keep[OWN + i]
     for i in range(n):
-        for j in range(COMPASS if i < COMPASS else 0, n):
+        for j in range(OWN if i < OWN else 0, n):
             p[i, j] = p[i, j] * keep[min(i, j)] * keep[max(i, j)]
-    for b in range(COMPASS, n):
-        p[b, b] += (1.0 - keep[b] * keep[b]) * config.variance[b - COMPASS]
+    for b in range(OWN, n):
+        p[b, b] += (1.0 - keep[b] * keep[b]) * config.variance[b - OWN]
 
 
 @kernel
@@ -242,7 +267,8 @@ def propagate(x: Array, p: Array, motions: Motions, k: int, a0: float, a1: float
     Increment, Jacobians and noise are interpolated linearly within the step, such that parts add up to the whole.
     """
     d = np.empty(24)
-    c, sn = _offsets(x, motions, k, a0, config.estimated, d)
+    share = _layer_share(-x[2], config)
+    c, sn = _offsets(x, motions, k, a0, config.estimated, share, d)
     w, mean, jacobian = a1 - a0, motions.mean[k], motions.jacobian[k]
     change = _change(jacobian, d)
     if a0 > 0.0:  # our offset at the start of the step, so that parts add up to the whole
@@ -259,7 +285,7 @@ def propagate(x: Array, p: Array, motions: Motions, k: int, a0: float, a1: float
     for i in range(6):
         x[X_VELOCITY + i] += w * (mean[12 + i] - mean[6 + i] + change[6 + i] - d[3 + i])
     set_rotation(x, product(r, so3_exp(phi)))
-    near, g = _surface(x, f, config)
+    near, g = _surface(x, f, share, config)
     _push(p, f, near, g)
     _add_noise(p, r, turn, phi, motions.noise[k], w)
-    _age(p, dt, config)
+    _age(x, p, dt, config)

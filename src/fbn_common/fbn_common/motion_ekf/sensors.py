@@ -73,7 +73,7 @@ def depth_data(pressure: FluidPressure, parameters: DepthParameters) -> Array:
     depth = (pressure.fluid_pressure - parameters.surface_pressure) / per_metre
     if not -2.0 <= depth <= parameters.max_depth:
         raise Unusable(f"depth of {depth:.1f} m is outside -2 to {parameters.max_depth} m")
-    sigma = sqrt(pressure.variance) / per_metre if pressure.variance > 0.0 else parameters.sigma
+    sigma = sqrt(pressure.variance * parameters.white) / per_metre if pressure.variance > 0.0 else parameters.sigma
     return np.array([-depth, max(sigma, parameters.sigma_min) ** 2])
 
 

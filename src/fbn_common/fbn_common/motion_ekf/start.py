@@ -7,13 +7,16 @@ import numpy as np
 from fbn_common.motion_ekf.core import State, fresh_sensors
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
-    COMPASS,
     DEPTH,
+    DEVIATION,
     GRID_NS,
+    OWN,
     POSITION,
     ROTATION,
+    TILT,
     VELOCITY,
     WATER,
+    X_DEVIATION,
     X_PARAMETERS,
     X_SIZE,
     X_VELOCITY,
@@ -41,23 +44,24 @@ def first_state(
     ``compass`` (18,) and ``depth`` (2,) as in the timeline (:mod:`fbn_common.motion_ekf.sensors`), depth already
     that of the origin; ``own`` the stationary variances of the considered sensor states; ``rows`` of sensors.
     """
-    size = COMPASS + len(own)
+    size = OWN + len(own)
     x, p = np.zeros(X_SIZE), np.zeros((size, size))
     r, white = compass[:9].reshape(3, 3), compass[9:].reshape(3, 3)
     set_rotation(x, np.ascontiguousarray(r))
-    x[X_PARAMETERS:], x[X_VELOCITY : X_VELOCITY + 6] = prior.mean, velocity
+    x[X_PARAMETERS:X_DEVIATION], x[X_VELOCITY : X_VELOCITY + 6] = prior.mean, velocity
     p[POSITION, POSITION] = p[POSITION + 1, POSITION + 1] = xy_variance
     p[VELOCITY : VELOCITY + 6, VELOCITY : VELOCITY + 6] = np.diag(_VELOCITY_SIGMA**2)
     p[ACTUATION : WATER + 3, ACTUATION : WATER + 3] = prior.covariance + 1e-12 * np.eye(15)
-    p[COMPASS:, COMPASS:] = np.diag(own)
+    p[OWN:, OWN:] = np.diag(own)
     waves = deviation_waves(np.ascontiguousarray(r))
     h = np.column_stack(
         (np.eye(3)[:, :2], np.outer(r[2], waves))
     )  # the compass's own errors turn the attitude the other way
-    attitude, errors = slice(ROTATION, ROTATION + 3), slice(COMPASS, DEPTH)
-    p[attitude, errors] = -h @ p[errors, errors]
+    errors = np.r_[TILT : TILT + 2, DEVIATION : DEVIATION + 5]
+    attitude = slice(ROTATION, ROTATION + 3)
+    p[attitude, errors] = -h * p[errors, errors]
     p[errors, attitude] = p[attitude, errors].T
-    p[attitude, attitude] = r.T @ white @ r + h @ p[errors, errors] @ h.T
+    p[attitude, attitude] = r.T @ white @ r + (h * p[errors, errors]) @ h.T
     if depth is None:
         p[2, 2] = 100.0
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fbn_common.motion_ekf.core import MotionEkf
-from fbn_common.motion_ekf.layout import COMPASS, GRID_NS, SIZE_DEADRECK, Config, Kind
+from fbn_common.motion_ekf.layout import GRID_NS, OWN, SIZE_DEADRECK, Config, Kind
 from fbn_common.motion_ekf.output import odometry
 from fbn_common.motion_ekf.start import first_state
 from fbn_common.records import PredictedMotion, VehicleParameters
@@ -29,7 +29,7 @@ def warm_up(config: Config, size: int, rows: int) -> None:
     ekf = MotionEkf(size, rows, config, 1.0, lambda slot, x, p: None)
     prior = VehicleParameters(0, "map", np.full(15, 0.1), np.eye(15))
     compass = np.concatenate((np.eye(3).ravel(), 0.01 * np.eye(3).ravel()))
-    own = config.variance[: size - COMPASS]
+    own = config.variance[: size - OWN]
     ekf.start(first_state(0, compass, np.array([0.0, 0.01]), prior, np.zeros(6), 1.0, own, rows))
     ekf.put_motions(*(standstill(i * GRID_NS) for i in range(6)))
     last = Kind.RANGE if size > SIZE_DEADRECK else Kind.CLIMB
