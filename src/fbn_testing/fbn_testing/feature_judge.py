@@ -15,7 +15,7 @@ from fbn_sim.simulation import Simulation
 from fbn_testing.feature_runs import Outcome
 
 PINGS_IN_VIEW = 10  # looks after which a true feature is due to be found
-NEAR = 2.0  # m, and four sigmas: what is farther from every static thing is false
+NEAR = 2.0  # m, and four sigmas that way: what is farther from every static thing is false
 LASTING = 1e8  # s: what lives longer is static
 
 
@@ -102,10 +102,11 @@ def nearest(c: CompositeMeasurement, number: int, simulation: Simulation) -> int
     """Row of the static thing (features first, then patches) that a feature is; None where there is none."""
     xyz, covariance = place(c, number, simulation)
     things = simulation.truth.scatterers
-    gaps = np.hypot(*(xyz - things.places).T[:2])
+    offsets = (things.places - xyz)[:, :2]
+    gaps = np.hypot(*offsets.T)
     gaps[things.life[:, 1] < LASTING] = np.inf
     row = int(np.argmin(gaps))
-    return row if gaps[row] <= reach(covariance) else None
+    return row if gaps[row] <= reach(offsets[row], covariance) else None
 
 
 def passes(c: CompositeMeasurement, number: int, simulation: Simulation) -> bool:
@@ -117,12 +118,15 @@ def passes(c: CompositeMeasurement, number: int, simulation: Simulation) -> bool
     alive = (things.life[:, :1] <= seen) & (seen <= things.life[:, 1:]) & (things.life[:, 1:] < LASTING)  # (m, 11)
     age = seen - things.life[:, :1]
     x, y = (things.places[:, i, None] + things.drift[:, i, None] * age - xyz[i] for i in (0, 1))
-    return bool((alive & (np.hypot(x, y) <= reach(covariance))).any())
+    gaps = np.where(alive, np.hypot(x, y), np.inf)
+    row = np.unravel_index(int(np.argmin(gaps)), gaps.shape)
+    return bool(gaps[row] <= reach(np.array([x[row], y[row]]), covariance))
 
 
-def reach(covariance: Array) -> float:
-    """How far a feature may lie from the thing that it is [m]."""
-    return float(NEAR + 4.0 * np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1]))
+def reach(offset: Array, covariance: Array) -> float:
+    """How far a feature may lie from a thing at this offset (2,) [m] to be that thing."""
+    along = offset / max(float(np.hypot(*offset)), 1e-9)
+    return float(NEAR + 4.0 * np.sqrt(along @ covariance[:2, :2] @ along))
 
 
 def placed(c: CompositeMeasurement, number: int, target: int, simulation: Simulation) -> Found:

@@ -2,6 +2,7 @@
 
 python -m fbn_testing.feature_study depth_of_features --seeds 0:50 --figure depth.png --story story.png
 python -m fbn_testing.feature_study any_height --seeds 0:50
+python -m fbn_testing.feature_study changing_depth --seeds 0:50
 python -m fbn_testing.feature_study charles_river_2006 --seeds 0:50
 python -m fbn_testing.feature_study clutter --seeds 0:50
 python -m fbn_testing.feature_study doppler_log --seeds 0:50
@@ -36,6 +37,12 @@ CUBIC, LINEAR = {"feature.elevation": "cubic"}, {"feature.elevation": "linear"}
 COMPASS = ("hard_iron_min", "hard_iron_max", "soft_iron_min", "soft_iron_max", "mount_sigma", "drift_sigma")
 ROWS = ("left_near", "right_near", "left_far", "right_far")
 ANY_HEIGHT = {"world.height_scatter": 1.2, **{f"world.rows.{row}.height": 1.5 for row in ROWS}}  # 0 to 4 m
+NO_PRIOR = {"feature.height_scale": 1e6}  # m: any height over the floor is as likely as any other
+LEG = "mission.legs."
+DOWN_AND_UP = {
+    f"{LEG}dive.to": [0.0, 0.0], f"{LEG}dive.depth": 1.0, f"{LEG}surface.to": [40.0, 0.0], f"{LEG}surface.depth": 3.5,
+    f"{LEG}fix_2.to": [115.0, 0.0], f"{LEG}fix_2.depth": 1.0, f"{LEG}fix_2.speed": 0.8, f"{LEG}fix_2.seconds": 0.0,
+}  # fmt: skip
 CURRENT = {"sea.current_speed_min": 0.2, "sea.current_speed_max": 0.2}
 
 
@@ -46,9 +53,15 @@ class Study(NamedTuple):
     variants: dict[str, tuple[Mapping[str, Any], Mapping[str, Any]]]
 
 
+def against_linear(scenario: Mapping[str, Any]) -> dict[str, tuple[Mapping[str, Any], Mapping[str, Any]]]:
+    """The cubic model, without its prior of heights too, and the linear one."""
+    return {"cubic": (scenario, CUBIC), "no prior of heights": (scenario, NO_PRIOR), "linear": (scenario, LINEAR)}
+
+
 STUDIES = {
-    "depth_of_features": Study("depth_of_features", {"cubic": ({}, CUBIC), "linear": ({}, LINEAR)}),
-    "any_height": Study("depth_of_features", {"cubic": (ANY_HEIGHT, CUBIC), "linear": (ANY_HEIGHT, LINEAR)}),
+    "depth_of_features": Study("depth_of_features", against_linear({})),
+    "any_height": Study("depth_of_features", against_linear(ANY_HEIGHT)),
+    "changing_depth": Study("depth_of_features", against_linear(ANY_HEIGHT | DOWN_AND_UP)),
     "charles_river_2006": Study("charles_river_2006", {"cubic": ({}, CUBIC)}),
     "clutter": Study("depth_of_features", {"5 a ping": ({"sensors.sonar.clutter.noise": 2.5}, CUBIC)}),
     "doppler_log": Study("depth_of_features", {"0.2 m/s": (CURRENT, CUBIC)}),
@@ -58,7 +71,6 @@ STUDIES = {
         "compass exact": ({f"sensors.compass.{error}": 0.0 for error in COMPASS}, CUBIC),
         "stamps exact": ({"sensors.sonar.stamp_offset": 0.0}, CUBIC),
         "features alone": ({f"sensors.sonar.clutter.{n}": 0.0 for n in ("patches", "fish", "bubbles")}, CUBIC),
-        "no deviation in the model": ({}, {"deviation": 0.0}),
     }),
 }  # fmt: skip
 

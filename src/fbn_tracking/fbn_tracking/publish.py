@@ -53,7 +53,7 @@ def _infant(track: Track, move: Mat4) -> TrackedFeature:
 def sided(window: Window, track: Track, feature: FeatureParameters) -> Vec3:
     """A feature's r, phi, theta, on the likelier side where the smoother has swung off the one it graduated on.
 
-    The graph holds neither floor nor surface, so that nothing but ranges keeps it there; composites choose anew.
+    The system holds neither floor nor surface, so that nothing but ranges keeps it there; composites choose anew.
     """
     q = window.estimate.q(track.key)
     swung = bool(track.modes) and q[2] * track.modes[0].x[2] < 0.0
