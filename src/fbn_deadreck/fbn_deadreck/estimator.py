@@ -60,11 +60,11 @@ class Deadreck(MotionFilter):
             return []
         stamp = record.stamp_ns
         if stamp > now_ns + nanoseconds(self.parameters.history.ahead):
-            return [self._say(stamp, "sonar", Verdict.REFUSED, "stamp too far ahead of the clock")]
+            return [self.answers.say(stamp, "sonar", Verdict.REFUSED, "stamp too far ahead of the clock")]
         if self.ekf.head_ns >= 0 and stamp < max(self.ekf.base.stamp_ns, self.ekf.head_ns - self.ekf.history_ns):
-            return [self._say(stamp, "sonar", Verdict.LATE, "ping older than the history")]
+            return [self.answers.say(stamp, "sonar", Verdict.LATE, "ping older than the history")]
         if stamp < self._answered_ns:
-            return [self._say(stamp, "sonar", Verdict.LATE, "a later ping has been answered")]
+            return [self.answers.say(stamp, "sonar", Verdict.LATE, "a later ping has been answered")]
         if stamp > self._answered_ns and stamp not in self._pings:
             self._pings.append(stamp)
         return []
@@ -77,7 +77,7 @@ class Deadreck(MotionFilter):
         out = []
         for stamp in ready:
             if stamp < self.ekf.base.stamp_ns:
-                out.append(self._say(stamp, "sonar", Verdict.REFUSED, "ping before the filter's start"))
+                out.append(self.answers.say(stamp, "sonar", Verdict.REFUSED, "ping before the filter's start"))
             else:
                 out.append(Output(PING_MOTION, self._ping_motion(stamp)))
         return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fbn_common.motion_ekf.filter import FilterParameters
+from fbn_common.motion_ekf.parameters import FilterParameters
 from fbn_common.parameters import param
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fbn_common.lie import matrix_from_rpy, so3_log
-from fbn_common.motion_ekf.filter import FilterParameters, MotionFilter
+from fbn_common.motion_ekf.filter import MotionFilter
 from fbn_common.motion_ekf.layout import (
     ESTIMATED_REFERENCE,
     GRID_NS,
@@ -24,6 +24,7 @@ from fbn_common.motion_ekf.layout import (
     Config,
 )
 from fbn_common.motion_ekf.measure import apply_error
+from fbn_common.motion_ekf.parameters import FilterParameters
 from fbn_common.motion_ekf.propagate import propagate, rotation_of, set_rotation
 from fbn_common.motion_ekf.timeline import MotionLog
 from fbn_common.records import JointState, PredictedMotion

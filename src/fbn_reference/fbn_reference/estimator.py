@@ -9,7 +9,6 @@ import numpy as np
 from fbn_common.estimator import Output
 from fbn_common.geodesy import GeodeticPoint, enu_from_geodetic
 from fbn_common.graph import GRAPH
-from fbn_common.motion_ekf.core import State
 from fbn_common.motion_ekf.filter import MotionFilter
 from fbn_common.motion_ekf.intake import Intake
 from fbn_common.motion_ekf.layout import (
@@ -86,18 +85,19 @@ class Reference(MotionFilter):
         rows[[Kind.POSITION, Kind.RANGE]] = 0, ESTIMATED_REFERENCE
         return rows
 
-    def position_variance(self) -> float:
-        """Of x and y at the start [m^2]."""
-        return self.own.map.start_sigma**2
+    def start_xy(self) -> tuple[float, float, float]:
+        """As the parameters say."""
+        return self.own.map.start_x, self.own.map.start_y, self.own.map.start_sigma**2
 
     # --- taking in --------------------------------------------------------------------------------------
 
-    def _common_intakes(self) -> dict[str, Intake]:
+    def sensors(self) -> dict[str, Intake]:
+        """As the base class, and GPS."""
         gps = Intake(
             "gps", self.own.gps, Kind.POSITION, GPS_ROW, self._fix_data,
             lambda r: content_of(r.latitude, r.longitude, r.status) if r.status >= 0 else content_of(r.stamp_ns),
         )  # fmt: skip
-        return super()._common_intakes() | {"gps/fix": gps}
+        return super().sensors() | {"gps/fix": gps}
 
     def _beacon_intake(self, index: int, name: str) -> Intake:
         beacon = self.own.lbl.beacons[name]
@@ -115,7 +115,9 @@ class Reference(MotionFilter):
         intake = self._beacons.get(record.beacon_id)
         why = self._range_objection(record)
         if intake is None or why:
-            return [self._say(record.stamp_ns, "lbl", Verdict.REFUSED, why or f"unknown beacon {record.beacon_id!r}")]
+            return [
+                self.answers.say(record.stamp_ns, "lbl", Verdict.REFUSED, why or f"unknown beacon {record.beacon_id!r}")
+            ]
         stamp = record.stamp_ns - nanoseconds(record.travel_delay / 2.0)
         at_middle = BeaconRange(
             stamp, record.frame_id, record.beacon_id, record.range, record.range_variance, record.travel_delay
@@ -135,10 +137,10 @@ class Reference(MotionFilter):
         out = []
         for slot in (s for s in mine if rows.data[s, 3] == value):
             self.ekf.withdraw(slot)
-            if self._pending.pop(slot, None) is not None:
-                out.append(self._refuse(intake, int(rows.stamp[slot]), Verdict.REFUSED, why))
+            if self.answers.release(slot) is not None:
+                out.append(self.answers.refuse(intake, int(rows.stamp[slot]), Verdict.REFUSED, why))
         waited = self._holding.withdraw(intake, value, since)
-        return out + [self._refuse(intake, w.stamp_ns, Verdict.REFUSED, why) for w in waited]
+        return out + [self.answers.refuse(intake, w.stamp_ns, Verdict.REFUSED, why) for w in waited]
 
     def settle(self, now_ns: int) -> list[Output]:
         """Rule on ranges that wait until no more can be said: who is admitted changes the position for the others."""
@@ -147,7 +149,7 @@ class Reference(MotionFilter):
             ruling = self._holding.rule(self.ekf)
             for w in ruling.admitted:
                 out += self.enter(w.intake, "lbl/range", w.record, w.data)
-            out += [self._refuse(w.intake, w.stamp_ns, Verdict.REFUSED, why.value) for w, why in ruling.refused]
+            out += [self.answers.refuse(w.intake, w.stamp_ns, Verdict.REFUSED, why.value) for w, why in ruling.refused]
             if not ruling.admitted and not ruling.refused:
                 break
             self.ekf.advance(now_ns)
@@ -187,11 +189,6 @@ class Reference(MotionFilter):
         return np.array([x, y, c[0, 0], c[0, 1], c[1, 1]])
 
     # --- what goes out ----------------------------------------------------------------------------------
-
-    def _initial(self, t0: int, imu: Any, pressure: Any) -> State:
-        state = super()._initial(t0, imu, pressure)
-        state.x[0], state.x[1] = self.own.map.start_x, self.own.map.start_y
-        return state
 
     def publishes(self) -> bool:
         """``map`` exists once there is a datum."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fbn_common.geodesy import GeodeticPoint
-from fbn_common.motion_ekf.filter import FilterParameters
-from fbn_common.motion_ekf.parameters import SensorParameters
+from fbn_common.motion_ekf.parameters import FilterParameters, SensorParameters
 from fbn_common.parameters import ParameterError, group, param
 
 Triple = tuple[float, float, float]

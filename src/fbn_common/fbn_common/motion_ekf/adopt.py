@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from fbn_common.motion_ekf.layout import DAMPING, ROTATION, X_DEVIATION
 from fbn_common.records import VehicleParameters
 from fbn_common.types import Array
 
@@ -47,6 +48,28 @@ def adopt_covariance(p: Array, states: slice, covariance: Array, followers: slic
     p[:, states] = cross
     p[states, :] = cross.T
     p[states, states] = 0.5 * (covariance + covariance.T)
+
+
+class Adoptions:
+    """Parameters that reference has found, by the timeline's slot at which each of them is taken over."""
+
+    def __init__(self) -> None:
+        self._records: dict[int, VehicleParameters] = {}
+
+    def put(self, slot: int, record: VehicleParameters) -> None:
+        """Take these over when the timeline comes to this slot."""
+        self._records[slot] = record
+
+    def adopt(self, slot: int, x: Array, p: Array) -> None:
+        """Change a state and its covariance in place; the considered parameters' mean comes with each motion."""
+        record = self._records.get(slot)
+        if record is None:
+            return
+        known = joint_covariance(record)[3:, 3:]
+        if len(known) > 12:
+            x[X_DEVIATION:] = record.further
+        states, attitude = slice(DAMPING, DAMPING + len(known)), slice(ROTATION, ROTATION + 3)
+        adopt_covariance(p, states, known + 1e-12 * np.eye(len(known)), attitude)
 
 
 def gained_information(before: Array, after: Array) -> Array:

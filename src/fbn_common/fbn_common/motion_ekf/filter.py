@@ -2,65 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fbn_common.estimator import Health, Level, Output
-from fbn_common.motion_ekf.adopt import adopt_covariance, joint_covariance, usable_parameters
-from fbn_common.motion_ekf.core import MotionEkf, State
-from fbn_common.motion_ekf.intake import Intake
+from fbn_common.motion_ekf import gaps
+from fbn_common.motion_ekf.adopt import Adoptions, usable_parameters
+from fbn_common.motion_ekf.answers import Answers
+from fbn_common.motion_ekf.core import MotionEkf
+from fbn_common.motion_ekf.intake import Intake, common_intakes
 from fbn_common.motion_ekf.layout import (
     ACTUATION,
     CLIMB_ROW,
-    COMPASS_ROW,
-    DAMPING,
-    DEPTH_ROW,
     GRID_NS,
     OWN,
     POSITION,
-    ROTATION,
     SIZE_DEADRECK,
-    SNAPSHOT_NS,
-    X_DEVIATION,
     Config,
     IntArray,
     Kind,
 )
-from fbn_common.motion_ekf.monitor import Watch, content_of, health_of, refusal
-from fbn_common.motion_ekf.output import odometry
-from fbn_common.motion_ekf.parameters import (
-    AltimeterParameters,
-    CompassParameters,
-    DepthParameters,
-    HistoryParameters,
-    SurfaceParameters,
-    WalkParameters,
-    considered,
-    quantile_table,
-    walk_densities,
-)
-from fbn_common.motion_ekf.sensors import Unusable, altitude_data, compass_data, depth_data
-from fbn_common.motion_ekf.start import first_state, state_after_gap
+from fbn_common.motion_ekf.monitor import health_of
+from fbn_common.motion_ekf.parameters import FilterParameters, config_of
+from fbn_common.motion_ekf.sensors import Unusable
+from fbn_common.motion_ekf.start import FirstData
+from fbn_common.motion_ekf.stream import OdometryStream
 from fbn_common.motion_ekf.warm_up import warm_up
-from fbn_common.parameters import group
-from fbn_common.records import FluidPressure, Imu, PredictedMotion, Record, VehicleParameters, Verdict
+from fbn_common.records import PredictedMotion, Record, VehicleParameters, Verdict
 from fbn_common.types import Array, nanoseconds, seconds
-
-_BRIDGE = np.array([0.02, 0.02, 0.02, 0.05, 0.05, 0.05])  # m^2/s^3, rad^2/s^3: 0.15 m/s and 0.2 rad/s after 1 s
-
-
-@dataclass(frozen=True, slots=True)
-class FilterParameters:
-    """Parameters that both filters have."""
-
-    compass: CompassParameters = group(CompassParameters)
-    depth: DepthParameters = group(DepthParameters)
-    altimeter: AltimeterParameters = group(AltimeterParameters)
-    walk: WalkParameters = group(WalkParameters)
-    surface: SurfaceParameters = group(SurfaceParameters)
-    history: HistoryParameters = group(HistoryParameters)
 
 
 class MotionFilter:
@@ -74,33 +45,26 @@ class MotionFilter:
     def __init__(self, parameters: FilterParameters, ranks: dict[str, int], rows: int) -> None:
         self.parameters = parameters
         self.ranks = ranks
-        self.intakes = self._common_intakes()
+        self.intakes = self.sensors()
         self.rows = rows
         self.resets = self._bridged = 0
+        self.answers = Answers(self.name, self.frame_id)
+        self._stream = OdometryStream(self.name, self.frame_id)
         self._inbox: list[tuple[str, Record]] = []
-        self._prior: VehicleParameters | None = None
-        self._now_ns: int = -1
-        self._odometry_ns: int = -1
+        self._first = FirstData(parameters)
         self._restart()
-        self._warm_up()
+        warm_up(self.ekf.config, self.size, self.rows)
 
     # --- what a subclass says ---------------------------------------------------------------------------
 
+    def sensors(self) -> dict[str, Intake]:
+        """The intakes by topic."""
+        return common_intakes(self.parameters)
+
     def config(self) -> Config:
         """The kernels' numbers."""
-        p = self.parameters
-        walk, limit = walk_densities(p.walk)
-        tau, variance = considered(p.compass, p.depth, p.surface)
-        lockout, lever = np.full(len(Kind), 1e18), np.zeros((len(Kind), 3))
-        gates = {i.kind: i.parameters.gate for i in self.intakes.values()}
-        for intake in self.intakes.values():
-            lockout[intake.kind] = intake.parameters.lockout
-        lever[Kind.DEPTH] = p.depth.position
-        return Config(
-            self.estimated, self.corrects(), SNAPSHOT_NS, walk, limit, p.walk.water_share**2 / 3600.0, tau, variance,
-            p.compass.dip, p.compass.wave_acceleration, p.compass.wave_depth, p.surface.depth, p.surface.layer_depth,
-            p.depth.density_sigma / p.depth.bias, quantile_table(gates), lockout, lever, 1.0, 1.0, 1.0, True, 60.0,
-        )  # fmt: skip
+        sensors = {intake.kind: intake.parameters for intake in self.intakes.values()}
+        return config_of(self.parameters, sensors, self.estimated, self.corrects())
 
     def corrects(self) -> IntArray:
         """Error states (kinds, 2) that each kind of measurement corrects, first and last + 1.
@@ -110,9 +74,9 @@ class MotionFilter:
         """
         return np.tile(np.array([POSITION + 2, ACTUATION + 3], np.int64), (len(Kind), 1))
 
-    def position_variance(self) -> float:
-        """Of x and y at the start [m^2]."""
-        return 1e-4
+    def start_xy(self) -> tuple[float, float, float]:
+        """x and y [m] at the start, and the variance of each [m^2]."""
+        return 0.0, 0.0, 1e-4
 
     def take(self, topic: str, record: Record, now_ns: int) -> list[Output]:
         """Take in a record of a topic of the subclass's own."""
@@ -126,6 +90,10 @@ class MotionFilter:
         """What else there is to publish after an advance."""
         return []
 
+    def publishes(self) -> bool:
+        """Whether there is odometry to publish at all."""
+        return True
+
     def notes(self) -> list[str]:
         """What else there is to complain of."""
         return []
@@ -138,17 +106,8 @@ class MotionFilter:
 
     def advance(self, now_ns: int) -> list[Output]:
         """Process all that is stamped up to now, as far as the predicted motions reach."""
-        out: list[Output] = []
         inbox, self._inbox = self._inbox, []
-        if now_ns < self._now_ns:
-            out.append(
-                self._say(
-                    now_ns, "clock", Verdict.REFUSED, f"went back by {seconds(self._now_ns - now_ns):.3g} s: reset"
-                )
-            )
-            self._restart()
-            self.resets += 1
-        self._now_ns = now_ns
+        out = self._follow_clock(now_ns)
         out += self._take_motions([record for _, record in inbox if isinstance(record, PredictedMotion)])
         for topic, record in inbox:
             if not isinstance(record, PredictedMotion):
@@ -157,49 +116,29 @@ class MotionFilter:
             out += self._try_start(now_ns)
         if self.ekf.head_ns >= 0:
             self.ekf.advance(now_ns)
-            out += self._bridge(now_ns)
+            out += self._step_over_gap(now_ns)
             out += self.settle(now_ns)
-            out += self._answers()
-            out += self._odometry()
+            out += self.answers.processed(self.ekf)
+            out += self._stream.publish(self.ekf, wanted=self.publishes())
             out += self.services(now_ns)
         return out
 
     def health(self) -> Health:
         """One line, and the counters of all sensors."""
-        notes = self.notes()
+        notes, watches = self.notes(), {i.sensor: i.watch for i in self.intakes.values()}
         values: dict[str, int | float | str] = {
-            "reruns": self.ekf.reruns,
-            "bridged": self._bridged,
-            "resets": self.resets,
-        }
+            "reruns": self.ekf.reruns, "bridged": self._bridged, "resets": self.resets,
+        }  # fmt: skip
         if self.ekf.head_ns < 0:
-            wanted = "first compass, depth, motion and parameters"
-            health = health_of(self._watches(), self._now_ns, [f"waiting for {wanted}", *notes], values)
-            return replace(health, level=Level.WARN)
+            notes = ["waiting for first compass, depth, motion and parameters", *notes]
+            return replace(health_of(watches, self._now_ns, notes, values), level=Level.WARN)
         behind = seconds(self._now_ns - self.ekf.head_ns)
         values["behind_s"] = round(behind, 3)
         if behind > 1.0:
             notes.append(f"no predicted motion for {behind:.1f} s")
-        return health_of(self._watches(), self._now_ns, notes, values)
+        return health_of(watches, self._now_ns, notes, values)
 
     # --- intake -----------------------------------------------------------------------------------------
-
-    def _common_intakes(self) -> dict[str, Intake]:
-        p = self.parameters
-        return {
-            "imu/data": Intake(
-                "compass", p.compass, Kind.COMPASS, COMPASS_ROW,
-                lambda r: compass_data(r, p.compass), lambda r: content_of(r.orientation),
-            ),
-            "pressure": Intake(
-                "depth", p.depth, Kind.DEPTH, DEPTH_ROW,
-                lambda r: depth_data(r, p.depth), lambda r: content_of(r.fluid_pressure),
-            ),
-            "altitude": Intake(
-                "altimeter", p.altimeter, Kind.CLIMB, CLIMB_ROW,
-                lambda r: altitude_data(r, p.altimeter), lambda r: content_of(r.range),
-            ),
-        }  # fmt: skip
 
     def _admit(self, topic: str, record: Record, now_ns: int) -> list[Output]:
         if isinstance(record, VehicleParameters):
@@ -218,16 +157,13 @@ class MotionFilter:
         """The measurement's data, or None and what is said of it."""
         head, history = self.ekf.head_ns, self.parameters.history
         oldest = max(self.ekf.base.stamp_ns + 1, head - self.ekf.history_ns) if head >= 0 else 0
-        bounds = (oldest, now_ns + nanoseconds(history.ahead))
-        objection = intake.watch.objection(record.stamp_ns, intake.content(record), bounds)
-        if not intake.parameters.use:
-            objection = (Verdict.REFUSED, "switched off by parameter")
+        objection = intake.objection(record, (oldest, now_ns + nanoseconds(history.ahead)))
         if objection is not None:
-            return None, [self._refuse(intake, record.stamp_ns, *objection)]
+            return None, [self.answers.refuse(intake, record.stamp_ns, *objection)]
         try:
             data = intake.data(record)
         except Unusable as error:
-            return None, [self._refuse(intake, record.stamp_ns, Verdict.REFUSED, str(error))]
+            return None, [self.answers.refuse(intake, record.stamp_ns, Verdict.REFUSED, str(error))]
         if data is None:
             intake.watch.verdicts["NO_BOTTOM"] += 1
         return data, []
@@ -236,10 +172,11 @@ class MotionFilter:
         """Put a measurement that nothing speaks against into the timeline."""
         slot = self.ekf.put_event(record.stamp_ns, self.ranks[topic], intake.kind, intake.row, data)
         if slot < 0:
-            return [self._refuse(intake, record.stamp_ns, Verdict.REFUSED, "more measurements than the history holds")]
-        self._pending[slot] = intake
-        if intake.kind in (Kind.COMPASS, Kind.DEPTH) and self.ekf.head_ns < 0:
-            self._first.setdefault(intake.kind, []).append(record)
+            full = "more measurements than the history holds"
+            return [self.answers.refuse(intake, record.stamp_ns, Verdict.REFUSED, full)]
+        self.answers.owe(slot, intake)
+        if self.ekf.head_ns < 0:
+            self._first.keep(record)
         return []
 
     def _take_motions(self, motions: list[PredictedMotion]) -> list[Output]:
@@ -247,158 +184,72 @@ class MotionFilter:
         for motion, error in zip(motions, self.ekf.put_motions(*motions), strict=True):
             why = "older than the history" if motion.stamp_ns < oldest else error
             if why:
-                out.append(self._say(motion.stamp_ns, "predict", Verdict.REFUSED, why))
+                out.append(self.answers.say(motion.stamp_ns, "predict", Verdict.REFUSED, why))
         return out
 
     def _take_parameters(self, record: VehicleParameters) -> list[Output]:
+        """The first are the prior; later ones are adopted, but not by the filter that they come from."""
         if not usable_parameters(record):
-            return [self._say(record.stamp_ns, "parameters", Verdict.REFUSED, "not finite, or not a covariance")]
-        if self._prior is None:
-            self._prior = record
+            why = "not finite, or not a covariance"
+            return [self.answers.say(record.stamp_ns, "parameters", Verdict.REFUSED, why)]
+        if self._first.prior is None:
+            self._first.prior = record
         elif self.estimated == ACTUATION + 3:  # who estimates them all is the one they come from
-            slot = self.ekf.put_event(
-                record.stamp_ns, self.ranks["predict/parameters"], Kind.PARAMETERS, CLIMB_ROW, np.zeros(1)
-            )
-            self._adoptions[slot] = record
+            rank = self.ranks["predict/parameters"]
+            slot = self.ekf.put_event(record.stamp_ns, rank, Kind.PARAMETERS, CLIMB_ROW, np.zeros(1))
+            self._adoptions.put(slot, record)
         return []
 
-    def _adopt(self, slot: int, x: Array, p: Array) -> None:
-        """Take over what reference knows; the mean of the considered parameters comes with each motion."""
-        record = self._adoptions.get(slot)
-        if record is None:
-            return
-        known = joint_covariance(record)[3:, 3:]
-        if len(known) > 12:
-            x[X_DEVIATION:] = record.further
-        states, attitude = slice(DAMPING, DAMPING + len(known)), slice(ROTATION, ROTATION + 3)
-        adopt_covariance(p, states, known + 1e-12 * np.eye(len(known)), attitude)
-
-    # --- start, gaps ------------------------------------------------------------------------------------
+    # --- start, gaps, clock -------------------------------------------------------------------------------
 
     def _restart(self) -> None:
         """Forget all but the parameters: at construction, and when the clock went back."""
         for intake in self.intakes.values():
             intake.reset()
-        self.ekf = MotionEkf(self.size, self.rows, self.config(), self.parameters.history.length, self._adopt)
-        self._pending: dict[int, Intake] = {}
-        self._adoptions: dict[int, VehicleParameters] = {}
-        self._first: dict[Kind, list[Any]] = {}
-        self._now_ns = self._odometry_ns = -1
+        self._adoptions = Adoptions()
+        history_s = self.parameters.history.length
+        self.ekf = MotionEkf(self.size, self.rows, self.config(), history_s, self._adoptions.adopt)
+        self.answers.clear()
+        self._first.forget()
+        self._stream.restart()
+        self._now_ns = -1
+
+    def _follow_clock(self, now_ns: int) -> list[Output]:
+        """Go on to this time, or start anew where it went back."""
+        out = []
+        if now_ns < self._now_ns:
+            why = f"went back by {seconds(self._now_ns - now_ns):.3g} s: reset"
+            out.append(self.answers.say(now_ns, "clock", Verdict.REFUSED, why))
+            self._restart()
+            self.resets += 1
+        self._now_ns = now_ns
+        return out
 
     def _try_start(self, now_ns: int) -> list[Output]:
-        """Start at the first stamp by which compass and depth have measured and motions reach."""
-        compass, depth = self._first.get(Kind.COMPASS, []), self._first.get(Kind.DEPTH, [])
+        """Start as soon as there is what a first state needs; what was measured earlier is refused."""
         motions = self.ekf.motions
-        if self._prior is None or motions.first_ns < 0 or not compass:
+        t0 = self._first.stamp(motions, now_ns)
+        if t0 < 0:
             return []
-        patient = now_ns - compass[0].stamp_ns < nanoseconds(self.parameters.history.start_timeout)
-        if not depth and self.parameters.depth.use and patient:
-            return []
-        firsts = [motions.first_ns, min(r.stamp_ns for r in compass)]
-        if depth:
-            firsts.append(min(r.stamp_ns for r in depth))
-        t0 = max(firsts)
-        if t0 >= motions.newest_ns or not motions.has((t0 // GRID_NS + 1) * GRID_NS):
-            return []
-        imu = max((r for r in compass if r.stamp_ns <= t0), key=lambda r: r.stamp_ns)
-        pressure = max((r for r in depth if r.stamp_ns <= t0), key=lambda r: r.stamp_ns, default=None)
-        self.ekf.start(self._initial(t0, imu, pressure))
-        self._first.clear()
-        return self._too_early(t0)
-
-    def _initial(self, t0: int, imu: Imu, pressure: FluidPressure | None) -> State:
-        """The state at the start, from the first measurements."""
-        assert self._prior is not None
-        compass, motions = compass_data(imu, self.parameters.compass), self.ekf.motions.rows
-        k = (t0 // GRID_NS + 1) % len(motions.stamp)
-        depth = None
-        if pressure is not None:
-            depth = depth_data(pressure, self.parameters.depth)
-            depth[0] -= compass[6:9] @ np.array(self.parameters.depth.position)
         own = self.ekf.config.variance[: self.size - OWN]
-        velocity = motions.mean[k, 6:12]
-        return first_state(t0, compass, depth, self._prior, velocity, self.position_variance(), own, self.rows)
+        self.ekf.start(self._first.state(t0, motions, self.start_xy(), own, self.rows))
+        self._first.forget()
+        return self.answers.skipped(self.ekf, t0, "before the filter's start")
 
-    def _too_early(self, t0: int, why: str = "before the filter's start") -> list[Output]:
-        """Answer what was measured before a start and will not be processed."""
-        out = []
-        n = self.ekf.events.after(t0)
-        for slot in self.ekf.events.slots[:n]:
-            intake = self._pending.pop(slot, None)
-            if intake is not None:
-                self.ekf.events.rows.verdict[slot] = Verdict.REFUSED  # nobody is to take it for a used one
-                stamp = int(self.ekf.events.rows.stamp[slot])
-                out.append(self._refuse(intake, stamp, Verdict.REFUSED, why))
-        return out
-
-    def _bridge(self, now_ns: int) -> list[Output]:
-        """Step over motions that never came: hold the velocity; after a long gap start anew, position kept."""
-        ekf, h = self.ekf, self.parameters.history
-        head, newest = ekf.head_ns, ekf.motions.newest_ns
-        missing = not ekf.motions.has(head + GRID_NS)
-        if not missing or newest - head < nanoseconds(h.patience) or now_ns - head < nanoseconds(h.patience):
+    def _step_over_gap(self, now_ns: int) -> list[Output]:
+        """Go on over motions that never came: velocity held; after a long gap started anew, position kept."""
+        ekf, history, head = self.ekf, self.parameters.history, self.ekf.head_ns
+        if not gaps.overdue(ekf, history, now_ns):
             return []
-        if newest - head > nanoseconds(h.max_gap):
-            return self._leap(newest - GRID_NS)
-        end = head + GRID_NS
-        while not ekf.motions.has(end):
-            ekf.motions.bridge(end, _BRIDGE)
-            self._bridged += 1
-            end += GRID_NS
-        said = self._say(
-            head, "predict", Verdict.REFUSED, f"motions of {seconds(end - GRID_NS - head):.2f} s missing: velocity held"
-        )
+        if gaps.too_long(ekf, history):
+            gaps.leap(ekf, history)
+            self._stream.restart()
+            self.resets += 1
+            why = f"gap of {seconds(ekf.head_ns - head):.1f} s in the motions: started anew, position kept"
+            skipped = self.answers.skipped(ekf, ekf.head_ns, "in a gap of the motions")
+            return [self.answers.say(ekf.head_ns, "predict", Verdict.REFUSED, why), *skipped]
+        steps = gaps.hold_velocity(ekf)
+        self._bridged += steps
         ekf.advance(now_ns)
-        return [said]
-
-    def _leap(self, t1: int) -> list[Output]:
-        """Go on at ``t1`` with the position as it was, uncertain by what may have happened in the gap."""
-        gap = seconds(t1 - self.ekf.head_ns)
-        self.ekf.start(state_after_gap(self.ekf.state, t1, self.parameters.history.drift_speed))
-        self._odometry_ns = -1
-        self.resets += 1
-        why = f"gap of {gap:.1f} s in the motions: started anew, position kept"
-        skipped = self._too_early(self.ekf.head_ns, "in a gap of the motions")
-        return [self._say(t1, "predict", Verdict.REFUSED, why), *skipped]
-
-    # --- what goes out ----------------------------------------------------------------------------------
-
-    def _answers(self) -> list[Output]:
-        """One innovation for each measurement that was processed for the first time."""
-        out = []
-        stamp, head = self.ekf.events.rows.stamp.item, self.ekf.head_ns
-        for _, slot in sorted((stamp(slot), slot) for slot in self._pending if stamp(slot) <= head):
-            answer = self._pending.pop(slot).answer(self.ekf.events.rows, slot, self.frame_id)
-            out.append(Output(f"{self.name}/innovations", answer))
-        return out
-
-    def _refuse(self, intake: Intake, stamp_ns: int, verdict: Verdict, reason: str) -> Output:
-        intake.watch.verdicts[verdict.name] += 1
-        return self._say(stamp_ns, intake.sensor, verdict, reason)
-
-    def _say(self, stamp_ns: int, sensor: str, verdict: Verdict, reason: str) -> Output:
-        return Output(f"{self.name}/innovations", refusal(stamp_ns, self.frame_id, sensor, verdict, reason))
-
-    def _odometry(self) -> list[Output]:
-        """Odometry at each multiple of SNAPSHOT_NS that the head has passed since the last one."""
-        first = self._odometry_ns + SNAPSHOT_NS
-        if self._odometry_ns < 0:
-            first = -(-self.ekf.base.stamp_ns // SNAPSHOT_NS) * SNAPSHOT_NS
-        stamps = range(first, self.ekf.head_ns + 1, SNAPSHOT_NS)
-        if not stamps:
-            return []
-        self._odometry_ns = stamps[-1]
-        rows = [row for stamp in stamps if (row := self.ekf.snapshot_row(stamp)) >= 0] if self.publishes() else []
-        topic = f"{self.name}/odometry"
-        return [Output(topic, record) for record in odometry(self.ekf.snapshots, rows, self.frame_id)]
-
-    def publishes(self) -> bool:
-        """Whether there is odometry to publish at all."""
-        return True
-
-    def _warm_up(self) -> None:
-        """Compile (or load) every kernel now, so that no first message is late."""
-        warm_up(self.ekf.config, self.size, self.rows)
-
-    def _watches(self) -> dict[str, Watch]:
-        return {i.sensor: i.watch for i in self.intakes.values()}
+        why = f"motions of {seconds(steps * GRID_NS):.2f} s missing: velocity held"
+        return [self.answers.say(head, "predict", Verdict.REFUSED, why)]

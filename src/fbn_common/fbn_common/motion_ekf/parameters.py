@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fbn_common import chi_square
-from fbn_common.motion_ekf.layout import Config, Kind
+from fbn_common.motion_ekf.layout import SNAPSHOT_NS, Config, IntArray, Kind
 from fbn_common.parameters import ParameterError, group, param
 from fbn_common.types import Array
 
@@ -128,6 +128,18 @@ class WalkParameters:
     water_limit: float = param(0.5, "m/s", "standard deviation at which the water's walk ends", "coastal")
 
 
+@dataclass(frozen=True, slots=True)
+class FilterParameters:
+    """Parameters that both filters have."""
+
+    compass: CompassParameters = group(CompassParameters)
+    depth: DepthParameters = group(DepthParameters)
+    altimeter: AltimeterParameters = group(AltimeterParameters)
+    walk: WalkParameters = group(WalkParameters)
+    surface: SurfaceParameters = group(SurfaceParameters)
+    history: HistoryParameters = group(HistoryParameters)
+
+
 def considered(compass: CompassParameters, depth: DepthParameters, surface: SurfaceParameters) -> tuple[Array, Array]:
     """Correlation times [s] and stationary variances (13,) of the states from OWN on, the fix's own left at 1."""
     once, twice = compass.hard_iron, compass.soft_iron
@@ -137,11 +149,6 @@ def considered(compass: CompassParameters, depth: DepthParameters, surface: Surf
     variance = [*(shares * compass.deviation**2)] + [surface.layer**2] * 2
     variance += [surface.loss**2] + [compass.tilt**2] * 2 + [depth.bias**2, 1.0, 1.0]
     return np.array(tau), np.maximum(variance, 1e-10)  # one switched off stays invertible
-
-
-def ring_sizes(length_s: float, snapshot_ns: int) -> int:
-    """Snapshots that span the history and half a second more."""
-    return int((length_s + 0.5) * 1e9 / snapshot_ns) + 2
 
 
 def quantile_table(probabilities: dict[Kind, float]) -> Array:
@@ -165,16 +172,17 @@ def walk_densities(walk: WalkParameters) -> tuple[Array, Array]:
     return sigma**2 / 3600.0, limit**2
 
 
-__all__ = [
-    "AltimeterParameters",
-    "CompassParameters",
-    "Config",
-    "DepthParameters",
-    "HistoryParameters",
-    "SensorParameters",
-    "WalkParameters",
-    "group",
-    "quantile_table",
-    "ring_sizes",
-    "walk_densities",
-]
+def config_of(p: FilterParameters, sensors: dict[Kind, SensorParameters], estimated: int, corrects: IntArray) -> Config:
+    """The kernels' numbers for these sensors; what concerns positions alone is left at values without effect."""
+    walk, limit = walk_densities(p.walk)
+    tau, variance = considered(p.compass, p.depth, p.surface)
+    lockout, lever = np.full(len(Kind), 1e18), np.zeros((len(Kind), 3))
+    for kind, sensor in sensors.items():
+        lockout[kind] = sensor.lockout
+    lever[Kind.DEPTH] = p.depth.position
+    gate = quantile_table({kind: sensor.gate for kind, sensor in sensors.items()})
+    return Config(
+        estimated, corrects, SNAPSHOT_NS, walk, limit, p.walk.water_share**2 / 3600.0, tau, variance,
+        p.compass.dip, p.compass.wave_acceleration, p.compass.wave_depth, p.surface.depth, p.surface.layer_depth,
+        p.depth.density_sigma / p.depth.bias, gate, lockout, lever, 1.0, 1.0, 1.0, True, 60.0,
+    )  # fmt: skip

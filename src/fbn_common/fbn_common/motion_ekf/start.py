@@ -1,6 +1,8 @@
-"""A filter's first state, and its state after a gap."""
+"""A filter's first state, what it waits for before it can have one, and its state after a gap."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,11 +24,61 @@ from fbn_common.motion_ekf.layout import (
     X_VELOCITY,
 )
 from fbn_common.motion_ekf.measure import deviation_waves
+from fbn_common.motion_ekf.parameters import FilterParameters
 from fbn_common.motion_ekf.propagate import set_rotation
-from fbn_common.records import VehicleParameters
-from fbn_common.types import Array
+from fbn_common.motion_ekf.sensors import compass_data, depth_data
+from fbn_common.motion_ekf.timeline import MotionLog
+from fbn_common.records import FluidPressure, Imu, Record, VehicleParameters
+from fbn_common.types import Array, nanoseconds
 
 _VELOCITY_SIGMA = np.array([0.5, 0.3, 0.3, 0.3, 0.3, 0.3])  # m/s, rad/s: a vehicle at rest or under way
+
+
+@dataclass(slots=True)
+class FirstData:
+    """What a filter waits for: the vehicle's parameters, compass, depth (not for ever), and motions over both."""
+
+    parameters: FilterParameters
+    prior: VehicleParameters | None = None
+    compass: list[Imu] = field(default_factory=list)
+    depth: list[FluidPressure] = field(default_factory=list)
+
+    def keep(self, record: Record) -> None:
+        """Keep a measurement that may be the first."""
+        if isinstance(record, Imu):
+            self.compass.append(record)
+        elif isinstance(record, FluidPressure):
+            self.depth.append(record)
+
+    def forget(self) -> None:
+        """Forget the measurements; the vehicle's parameters stay."""
+        self.compass, self.depth = [], []
+
+    def stamp(self, motions: MotionLog, now_ns: int) -> int:
+        """The first stamp by which compass and depth have measured and motions reach; -1 if it has not come yet."""
+        if self.prior is None or motions.first_ns < 0 or not self.compass:
+            return -1
+        patient = now_ns - self.compass[0].stamp_ns < nanoseconds(self.parameters.history.start_timeout)
+        if not self.depth and self.parameters.depth.use and patient:
+            return -1
+        firsts = [min(r.stamp_ns for r in records) for records in (self.compass, self.depth) if records]
+        t0 = max(motions.first_ns, *firsts)
+        reached = t0 < motions.newest_ns and motions.has((t0 // GRID_NS + 1) * GRID_NS)
+        return t0 if reached else -1
+
+    def state(self, t0: int, motions: MotionLog, xy: tuple[float, float, float], own: Array, rows: int) -> State:
+        """The state at that stamp; ``xy`` are x, y [m] and their variance [m^2], the rest as :func:`first_state`."""
+        assert self.prior is not None
+        imu = max((r for r in self.compass if r.stamp_ns <= t0), key=lambda r: r.stamp_ns)
+        pressure = max((r for r in self.depth if r.stamp_ns <= t0), key=lambda r: r.stamp_ns, default=None)
+        compass, depth = compass_data(imu, self.parameters.compass), None
+        if pressure is not None:
+            depth = depth_data(pressure, self.parameters.depth)
+            depth[0] -= compass[6:9] @ np.array(self.parameters.depth.position)
+        velocity = motions.rows.mean[(t0 // GRID_NS + 1) % len(motions.rows.stamp), 6:12]
+        state = first_state(t0, compass, depth, self.prior, velocity, xy[2], own, rows)
+        state.x[:2] = xy[:2]
+        return state
 
 
 def first_state(
