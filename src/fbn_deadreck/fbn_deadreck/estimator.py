@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import cache
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from fbn_common.motion_ekf.intake import Intake
 from fbn_common.motion_ekf.layout import BEACON_ROW, ESTIMATED_DEADRECK, SIZE_DEADRECK, X_VELOCITY
 from fbn_common.motion_ekf.output import pose_of
 from fbn_common.motion_ekf.sensors import Unusable, altitude_data
+from fbn_common.motion_ekf.warm_up import rehearse
 from fbn_common.records import PingMotion, Range, Record, SonarDetections, Verdict
 from fbn_common.types import nanoseconds, seconds
 from fbn_deadreck.dead_service import (
@@ -42,10 +44,12 @@ class Deadreck(MotionFilter):
     size = SIZE_DEADRECK
     estimated = ESTIMATED_DEADRECK
 
-    def __init__(self, parameters: DeadreckParameters) -> None:
+    def __init__(self, parameters: DeadreckParameters, *, rehearsed: bool = True) -> None:
         self.own = parameters
         ranks = {topic: i for i, topic in enumerate(GRAPH.node("fbn_deadreck").inputs)}
         super().__init__(parameters, ranks, BEACON_ROW)
+        if rehearsed:
+            _rehearse()
 
     def _restart(self) -> None:
         super()._restart()
@@ -136,3 +140,13 @@ class Deadreck(MotionFilter):
         age, _, altitude, variance = min(near)
         slope = self.parameters.altimeter.slope * seconds(age)  # a metre a second over ground, at most
         return altitude, variance + slope**2
+
+
+@cache
+def _rehearse() -> None:
+    """Once in a process, so that no first ping is late."""
+
+    def pings(stamp_ns: int) -> list[tuple[str, Record]]:
+        return [("sonar/detections", SonarDetections(stamp_ns, "", 0, 1.0, 40.0, -0.1, 0.1, 0.3, ()))]
+
+    rehearse(Deadreck(DeadreckParameters(), rehearsed=False), pings)

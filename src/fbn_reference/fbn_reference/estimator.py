@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,10 +31,11 @@ from fbn_common.motion_ekf.layout import (
 from fbn_common.motion_ekf.monitor import all_finite, content_of
 from fbn_common.motion_ekf.parameters import quantile_table
 from fbn_common.motion_ekf.sensors import Unusable, usable_covariance
+from fbn_common.motion_ekf.warm_up import rehearse
 from fbn_common.records import BeaconRange, Datum, NavSatFix, Record, ReferenceFix, VehicleParameters, Verdict
 from fbn_common.types import Array, nanoseconds
 from fbn_reference.holding import Holding, Waiting
-from fbn_reference.parameters import ReferenceParameters
+from fbn_reference.parameters import Beacon, LblParameters, ReferenceParameters
 from fbn_reference.service import Gain
 
 _OF_POSITION, _USED = (int(Kind.POSITION), int(Kind.RANGE)), int(Verdict.USED)
@@ -47,13 +49,15 @@ class Reference(MotionFilter):
     size = SIZE_REFERENCE
     estimated = ESTIMATED_REFERENCE
 
-    def __init__(self, parameters: ReferenceParameters) -> None:
+    def __init__(self, parameters: ReferenceParameters, *, rehearsed: bool = True) -> None:
         self.own = parameters
         ranks = {topic: i for i, topic in enumerate(GRAPH.node("fbn_reference").inputs)}
         self.datum = parameters.map.datum if parameters.map.datum_given else None
         self._beacons = {name: self._beacon_intake(i, name) for i, name in enumerate(parameters.lbl.beacons)}
         super().__init__(parameters, ranks, BEACON_ROW + len(self._beacons))
         self._datum_said = False
+        if rehearsed:
+            _rehearse()
 
     def _restart(self) -> None:
         super()._restart()
@@ -239,3 +243,20 @@ class Reference(MotionFilter):
             return []
         xy, covariance = gain.collect()
         return [Output("reference/fix", ReferenceFix(self._fix_ns, "map", xy, covariance, gain.covariance.copy()))]
+
+
+@cache
+def _rehearse() -> None:
+    """Once in a process, so that no first fix or range is late."""
+    beacons = {"east": Beacon(x=100.0), "north": Beacon(y=100.0), "south": Beacon(x=50.0, y=-80.0)}
+    distances = {name: float(np.hypot(b.x, b.y)) for name, b in beacons.items()}
+
+    def fixes(stamp_ns: int) -> list[tuple[str, Record]]:
+        trifle = stamp_ns * 1e-15
+        ranges: list[tuple[str, Record]] = [
+            ("lbl/range", BeaconRange(stamp_ns, "", name, d + trifle, 0.1, 0.0)) for name, d in distances.items()
+        ]
+        return [*ranges, ("gps/fix", NavSatFix(stamp_ns, "", 0, trifle, 0.0, 0.0, 4.0 * np.eye(3), 2))]
+
+    parameters = ReferenceParameters(lbl=LblParameters(beacons=beacons))
+    rehearse(Reference(parameters, rehearsed=False), fixes)

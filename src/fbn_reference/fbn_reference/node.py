@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from fbn_ros.node import main_of
+from fbn_ros.start import main_of
 
 
 def main() -> int:

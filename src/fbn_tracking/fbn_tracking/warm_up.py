@@ -1,4 +1,7 @@
-"""Compile (or load from the cache) every kernel with the layouts it is called with, so that no first ping is late."""
+"""Compile (or load from the cache) every kernel with the layouts it is called with, so that no first ping is late.
+
+Kernels that only kernels call are compiled into those.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,7 @@ def warm_up() -> None:
     pose, eye3, mount = np.eye(4), np.eye(3), np.eye(4)
     q, z, zero3 = np.array([10.0, 1.5, 0.1]), np.array([10.0, 1.5, 0.05, 0.02, 0.3, 150.0]), np.zeros(3)
     factors.link_kernel(pose, pose, zero3, zero3, eye3, 1.0, np.eye(6))
-    factors.earth_kernel(pose, np.zeros(4), np.eye(4))
-    geometry.anchored_observation(pose, pose, mount, mount, q)
     geometry.elevation_shape(0.17, 2e-3, True)
-    geometry.u_from_theta(0.1, 0.3, 150.0)
     geometry.theta_from_u(1.0, z[4], z[5])
     geometry.finite_slope(0.1, 0.5, 0.3, 150.0)
     geometry.cartesian_jacobian(q)
