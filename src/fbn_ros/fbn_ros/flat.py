@@ -50,9 +50,7 @@ class Flat:
         quaternions = [r.start + r.shape[0] - 4 for r in runs if r.name in QUATERNIONS or r.shape == (7,)]
         self._quaternions = quaternions
         matrices = [r for r in runs if len(r.shape) == 2 and is_covariance(r.name)]
-        self._variances = np.array(
-            [r.start + i * (r.shape[0] + 1) for r in matrices for i in range(r.shape[0])], dtype=int
-        )
+        self._variances = np.array([place for r in matrices for place in _variances(r)], dtype=int)
 
     def encode(self, record: Any) -> bytes:
         """The bytes of the record's message."""
@@ -186,3 +184,9 @@ def _laid_out(shapes: list[tuple[str, tuple[int, ...]]]) -> list[Run]:
         runs.append(Run(name, start, stop, shape))
         start = stop
     return runs
+
+
+def _variances(run: Run) -> range:
+    """Where a covariance's variances are; of (n, m), n < m, the matrix's own square stands last."""
+    n, m = run.shape
+    return range(run.start + m - n, run.stop, m + 1)
