@@ -26,17 +26,19 @@ from fbn_ros.validation import NORM_TOLERANCE, QUATERNIONS, check, has_rules, is
 
 _NUMBERS = re.compile(r"double(?:\[(\d+)\])?")
 _POSE = "geometry_msgs/Pose"
+POSE_NUMBERS = 7  # position, quaternion
 
+Shape = tuple[int, ...] | None
 FieldTypes = Callable[[str], Mapping[str, str]]  # a type's fields, in order, as ROS writes their types
 
 
 class Run(NamedTuple):
-    """Where a field's numbers are in the run: ``numbers[start:stop]``, of this shape; () is a single number."""
+    """Where a field's numbers are in the run: ``numbers[start:stop]``; shape () is a single number, None a pose."""
 
     name: str
     start: int
     stop: int
-    shape: tuple[int, ...]
+    shape: Shape
 
 
 class Flat:
@@ -47,12 +49,8 @@ class Flat:
         self._count = runs[-1].stop
         self._ruled = has_rules(kind)  # something may be absent: judged by its own rules
         self._framed = "frame_id" in {f.name for f in dataclasses.fields(kind)}
-        quaternions = [r.start + r.shape[0] - 4 for r in runs if r.name in QUATERNIONS or r.shape == (7,)]
-        self._quaternions = quaternions
-        matrices = [r for r in runs if len(r.shape) == 2 and is_covariance(r.name)]
-        self._variances = np.array(
-            [r.start + i * (r.shape[0] + 1) for r in matrices for i in range(r.shape[0])], dtype=int
-        )
+        self._quaternions = [r.stop - 4 for r in runs if r.name in QUATERNIONS or r.shape is None]
+        self._variances = np.array([place for r in runs for place in _variances(r)], dtype=int)
 
     def encode(self, record: Any) -> bytes:
         """The bytes of the record's message."""
@@ -90,7 +88,7 @@ class Flat:
         if not self._ruled and not self._usable(numbers):
             return None
         for name, start, stop, shape in self._runs:
-            if shape == (7,):
+            if shape is None:
                 values[name] = Pose(numbers[start : start + 3], numbers[start + 3 : stop])
             elif len(shape) == 2:
                 values[name] = numbers[start:stop].reshape(shape)
@@ -134,12 +132,12 @@ def _passes(record: Any) -> bool:
 # --- which types are flat ------------------------------------------------------------------------------------
 
 # Standard messages nest what their records hold side by side: record fields in the order of the message's numbers.
-_STANDARD: dict[type, tuple[list[tuple[str, str]], list[tuple[str, tuple[int, ...]]]]] = {
+_STANDARD: dict[type, tuple[list[tuple[str, str]], list[tuple[str, Shape]]]] = {
     Odometry: (
         [("child_frame_id", "string")],
-        [("pose", (7,)), ("pose_covariance", (6, 6)), ("twist", (6,)), ("twist_covariance", (6, 6))],
+        [("pose", None), ("pose_covariance", (6, 6)), ("twist", (6,)), ("twist_covariance", (6, 6))],
     ),
-    PoseWithCovarianceStamped: ([], [("pose", (7,)), ("covariance", (6, 6))]),
+    PoseWithCovarianceStamped: ([], [("pose", None), ("covariance", (6, 6))]),
     FluidPressure: ([], [("fluid_pressure", ()), ("variance", ())]),
     Imu: (
         [],
@@ -170,7 +168,7 @@ def flat(kind: type[Any], field_types: FieldTypes) -> Flat | None:
         elif ros_type == "string" and not shapes:
             lead.append((name, "string"))
         elif ros_type == _POSE:
-            shapes.append((name, (7,)))
+            shapes.append((name, None))
         elif _NUMBERS.fullmatch(ros_type):
             shapes.append((name, fields[name].metadata.get("shape", ())))
         else:
@@ -179,10 +177,18 @@ def flat(kind: type[Any], field_types: FieldTypes) -> Flat | None:
     return Flat(kind, lead, _laid_out(shapes)) if shapes and fields.keys() <= told else None
 
 
-def _laid_out(shapes: list[tuple[str, tuple[int, ...]]]) -> list[Run]:
+def _laid_out(shapes: list[tuple[str, Shape]]) -> list[Run]:
     runs, start = [], 0
     for name, shape in shapes:
-        stop = start + reduce(mul, shape, 1)
+        stop = start + (POSE_NUMBERS if shape is None else reduce(mul, shape, 1))
         runs.append(Run(name, start, stop, shape))
         start = stop
     return runs
+
+
+def _variances(run: Run) -> range:
+    """Where a covariance's variances are: of (n, m), n < m, the matrix's own square stands last."""
+    if run.shape is None or len(run.shape) != 2 or not is_covariance(run.name):
+        return range(0)
+    n, m = run.shape
+    return range(run.start + m - n, run.stop, m + 1)

@@ -47,8 +47,8 @@ def finite_array(name: str, values: Any) -> None:
 
 def covariance(name: str, matrix: Any) -> None:
     finite_array(name, matrix)
-    if matrix.size and matrix.diagonal().min() < 0.0:
-        raise Malformed(name, "variances of at least 0", str(float(matrix.diagonal().min())))
+    if matrix.size and (least := matrix[:, -len(matrix) :].diagonal().min()) < 0.0:  # (n, m): own block stands last
+        raise Malformed(name, "variances of at least 0", str(float(least)))
 
 
 def quaternion(name: str, q: Any) -> None:

@@ -58,6 +58,9 @@ def _scalar(hint: Any, rng: np.random.Generator, items: int) -> Any:
 def _array(name: str, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
     if len(shape) == 2 and shape[0] == shape[1]:
         return np.diag(rng.integers(1, 100, shape[0]) / 64)
+    if name.endswith("covariance") and len(shape) == 2:  # (n, m): with others, then among themselves
+        n, m = shape
+        return np.hstack((_array("", (n, m - n), rng), _array(name, (n, n), rng)))
     return rng.integers(-1000, 1000, shape) / 64
 
 

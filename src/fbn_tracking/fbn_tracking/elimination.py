@@ -88,11 +88,11 @@ def eliminate(
     A, y = np.zeros((25 + 5 * most, 12 + width)), np.zeros(25 + 5 * most)
     pool, rest = np.zeros((width + _POOL + 25 + 5 * most, width)), np.zeros(width + _POOL + 25 + 5 * most)
     chain = np.zeros((n, 6, 13 + width))
-    held, carried, energy = 0, 0, 0.0
+    held, passed, energy = 0, 0, 0.0
     for k in range(n):
         inner = column[k] < 0
         own = 0 if inner else 12 + column[k]
-        rows = carried
+        rows = passed
         if k == 0:
             rows = _base_rows(A, y, rows, own, base, T[0], drift)
         rows = _earth_rows(A, y, rows, own, motion[k], T[k])
@@ -103,13 +103,11 @@ def eliminate(
                 rows = _first_rows(A, y, rows, by_q, looks[d, 32:], q[f], weak, weights[f])
             else:
                 rows = _look_rows(A, y, rows, own, 12 + column[anchor], by_q, looks[d], T[anchor], T[k], q[f])
-        follows = k + 1 < n
-        inner_next = follows and column[k + 1] < 0
-        if follows:
-            rows = _link_rows(
-                A, y, rows, own, 6 if inner_next else 12 + column[k + 1], motion[k + 1], T[k], T[k + 1], drift
-            )
-        for r in range(carried, rows):
+        inner_next = k + 1 < n and column[k + 1] < 0
+        if k + 1 < n:
+            after = 6 if inner_next else 12 + column[k + 1]
+            rows = _link_rows(A, y, rows, own, after, motion[k + 1], T[k], T[k + 1], drift)
+        for r in range(passed, rows):
             energy += 0.5 * y[r] * y[r]
         active, done = 12 + top[min(k + 1, n - 1)], 0
         if inner:
@@ -120,24 +118,38 @@ def eliminate(
         if inner_next:
             reduce_columns(A, y, done, rows, 6, 6, active)
             passed = min(6, rows - done)
-        for r in range(done + passed, rows):
-            pool[held, : active - 12], rest[held] = A[r, 12:active], y[r]
-            held += 1
-        if held > width + _POOL:
-            reduce_columns(pool, rest, 0, held, 0, active - 12, active - 12)
-            for r in range(min(held, active - 12), held):
-                pool[r], rest[r] = 0.0, 0.0
-            held = min(held, active - 12)
-        for r in range(passed):
-            y[r] = y[done + r]
-            for j in range(6):
-                A[r, j] = A[done + r, 6 + j]
-                A[r, 6 + j] = 0.0
-            A[r, 12:active] = A[done + r, 12:active]
-        A[passed:rows], y[passed:rows] = 0.0, 0.0
-        carried = passed
+        held = _gather(pool, rest, held, A, y, done + passed, rows, active, width)
+        _pass_on(A, y, done, passed, rows, active)
     reduce_columns(pool, rest, 0, held, 0, width, width)
     return pool[:width].copy(), rest[:width].copy(), chain, energy
+
+
+@kernel
+def _gather(
+    pool: Array, rest: Array, held: int, A: Array, y: Array, begin: int, rows: int, active: int, width: int
+) -> int:
+    """Rows that speak of the border alone, into the pool, which is reduced when it is full; gives how many it holds."""
+    for r in range(begin, rows):
+        pool[held, : active - 12], rest[held] = A[r, 12:active], y[r]
+        held += 1
+    if held > width + _POOL:
+        reduce_columns(pool, rest, 0, held, 0, active - 12, active - 12)
+        for r in range(min(held, active - 12), held):
+            pool[r], rest[r] = 0.0, 0.0
+        held = min(held, active - 12)
+    return held
+
+
+@kernel
+def _pass_on(A: Array, y: Array, done: int, passed: int, rows: int, active: int) -> None:
+    """Rows that speak of the next pose, to the top and into its columns; all below is cleared."""
+    for r in range(passed):
+        y[r] = y[done + r]
+        for j in range(6):
+            A[r, j] = A[done + r, 6 + j]
+            A[r, 6 + j] = 0.0
+        A[r, 12:active] = A[done + r, 12:active]
+    A[passed:rows], y[passed:rows] = 0.0, 0.0
 
 
 @kernel
