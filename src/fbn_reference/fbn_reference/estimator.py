@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -35,7 +34,9 @@ from fbn_common.motion_ekf.warm_up import rehearse
 from fbn_common.records import BeaconRange, Datum, NavSatFix, Record, ReferenceFix, VehicleParameters, Verdict
 from fbn_common.types import Array, nanoseconds
 from fbn_reference.holding import Holding, Waiting
-from fbn_reference.parameters import Beacon, LblParameters, ReferenceParameters
+from fbn_reference.parameters import ReferenceParameters
+from fbn_reference.ranges import beacon_intakes, objection
+from fbn_reference.rehearsal import PARAMETERS, position_records
 from fbn_reference.service import Gain
 
 _OF_POSITION, _USED = (int(Kind.POSITION), int(Kind.RANGE)), int(Verdict.USED)
@@ -53,7 +54,7 @@ class Reference(MotionFilter):
         self.own = parameters
         ranks = {topic: i for i, topic in enumerate(GRAPH.node("fbn_reference").inputs)}
         self.datum = parameters.map.datum if parameters.map.datum_given else None
-        self._beacons = {name: self._beacon_intake(i, name) for i, name in enumerate(parameters.lbl.beacons)}
+        self._beacons = beacon_intakes(parameters.lbl)
         super().__init__(parameters, ranks, BEACON_ROW + len(self._beacons))
         self._datum_said = False
         if rehearsed:
@@ -103,21 +104,12 @@ class Reference(MotionFilter):
         )  # fmt: skip
         return super().sensors() | {"gps/fix": gps}
 
-    def _beacon_intake(self, index: int, name: str) -> Intake:
-        beacon = self.own.lbl.beacons[name]
-
-        def data(record: Any) -> Array:
-            variance = max(record.range_variance, self.own.lbl.sigma_min**2) + beacon.sigma**2
-            return np.array([beacon.x, beacon.y, beacon.z, record.range, variance, 0.0, 0.0, 0.0])
-
-        return Intake(f"lbl.{name}", self.own.lbl, Kind.RANGE, BEACON_ROW + index, data, lambda r: content_of(r.range))
-
     def take(self, topic: str, record: Record, now_ns: int) -> list[Output]:
         """A range belongs to the middle of its travel; it waits if the gate cannot judge it."""
         if not isinstance(record, BeaconRange):
             return []
         intake = self._beacons.get(record.beacon_id)
-        why = self._range_objection(record)
+        why = objection(record, self.own.lbl)
         if intake is None or why:
             return [
                 self.answers.say(record.stamp_ns, "lbl", Verdict.REFUSED, why or f"unknown beacon {record.beacon_id!r}")
@@ -163,14 +155,6 @@ class Reference(MotionFilter):
         """What the beacons leave undecided."""
         undecided = self._holding.complaint(self.ekf.head_ns)
         return [undecided] if undecided else []
-
-    def _range_objection(self, record: BeaconRange) -> str:
-        lbl = self.own.lbl
-        if not all_finite(record.range, record.range_variance, record.travel_delay) or record.range_variance < 0.0:
-            return "range, variance or delay is not finite, or negative variance"
-        if not 0.0 < record.range <= lbl.max_range or not 0.0 <= record.travel_delay <= lbl.max_delay:
-            return f"range {record.range:.1f} m or delay {record.travel_delay:.2f} s out of bounds"
-        return ""
 
     def _fix_data(self, fix: NavSatFix) -> Array:
         """Data (5,) of a fix in ``map``: x, y, covariance xx, xy, yy; the first good one makes the datum."""
@@ -248,15 +232,4 @@ class Reference(MotionFilter):
 @cache
 def _rehearse() -> None:
     """Once in a process, so that no first fix or range is late."""
-    beacons = {"east": Beacon(x=100.0), "north": Beacon(y=100.0), "south": Beacon(x=50.0, y=-80.0)}
-    distances = {name: float(np.hypot(b.x, b.y)) for name, b in beacons.items()}
-
-    def fixes(stamp_ns: int) -> list[tuple[str, Record]]:
-        trifle = stamp_ns * 1e-15
-        ranges: list[tuple[str, Record]] = [
-            ("lbl/range", BeaconRange(stamp_ns, "", name, d + trifle, 0.1, 0.0)) for name, d in distances.items()
-        ]
-        return [*ranges, ("gps/fix", NavSatFix(stamp_ns, "", 0, trifle, 0.0, 0.0, 4.0 * np.eye(3), 2))]
-
-    parameters = ReferenceParameters(lbl=LblParameters(beacons=beacons))
-    rehearse(Reference(parameters, rehearsed=False), fixes)
+    rehearse(Reference(PARAMETERS, rehearsed=False), position_records)

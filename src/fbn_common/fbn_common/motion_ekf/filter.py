@@ -126,9 +126,8 @@ class MotionFilter:
     def health(self) -> Health:
         """One line, and the counters of all sensors."""
         notes, watches = self.notes(), {i.sensor: i.watch for i in self.intakes.values()}
-        values: dict[str, int | float | str] = {
-            "reruns": self.ekf.reruns, "bridged": self._bridged, "resets": self.resets,
-        }  # fmt: skip
+        values: dict[str, int | float | str]
+        values = {"reruns": self.ekf.reruns, "bridged": self._bridged, "resets": self.resets}
         if self.ekf.head_ns < 0:
             notes = ["waiting for first compass, depth, motion and parameters", *notes]
             return replace(health_of(watches, self._now_ns, notes, values), level=Level.WARN)
@@ -231,8 +230,8 @@ class MotionFilter:
         t0 = self._first.stamp(motions, now_ns)
         if t0 < 0:
             return []
-        own = self.ekf.config.variance[: self.size - OWN]
-        self.ekf.start(self._first.state(t0, motions, self.start_xy(), own, self.rows))
+        own_variance = self.ekf.config.variance[: self.size - OWN]
+        self.ekf.start(self._first.state(t0, motions, self.start_xy(), own_variance, self.rows))
         self._first.forget()
         return self.answers.skipped(self.ekf, t0, "before the filter's start")
 
