@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fbn_bringup.evaluation.run import Run, collect
-from fbn_bringup.report.overlay import overlays
+from fbn_bringup.report.overlay import overlays, stated_posterior
 from fbn_common import records as r
 from fbn_common.sweep import CELL, Raster, missed, swept
 
@@ -37,6 +37,14 @@ def test_each_likely_hypothesis_has_its_own_overlay_and_a_small_one_none(story, 
 def test_under_a_hypothesis_shifted_along_the_row_what_was_tracked_lies_there(story, tell, truth_of):
     best, other = overlays(told(story, tell, truth_of, 0.3), most=2)[2:4]  # of the second dive
     np.testing.assert_allclose(other.tracked_xy - best.tracked_xy, np.tile([-16.0, 0.0], (4, 1)), atol=1e-6)
+
+
+def test_the_place_is_drawn_as_likely_as_the_status_says_not_as_any_one_hypothesis(story, tell, truth_of):
+    run = told(story, tell, truth_of, 0.3)
+    time, posterior = stated_posterior(run)
+    statuses = run.of("global/status", r.LocalizationStatus)
+    np.testing.assert_allclose(60e9 * time, [s.stamp_ns - run.start_ns for s in statuses], atol=1e3)
+    assert posterior.tolist() == [s.posterior for s in statuses] and len(posterior) > 1
 
 
 def composite(base: tuple[float, float], scans: np.ndarray, cell: float) -> r.CompositeMeasurement:

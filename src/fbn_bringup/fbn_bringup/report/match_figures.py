@@ -23,7 +23,7 @@ from fbn_bringup.report.canvas import (
     shade_dives,
     styled,
 )
-from fbn_bringup.report.overlay import DiveOverlay, hypothesis_lines, overlays
+from fbn_bringup.report.overlay import DiveOverlay, hypothesis_lines, overlays, stated_posterior
 from fbn_common import records as r
 from fbn_common.graph import GRAPH
 from fbn_common.sweep import CELL
@@ -35,14 +35,15 @@ MISSED = st.Look("swept, and not seen", st.DEADRECK.colour)
 
 
 def hypothesis_figure(run: Run) -> go.Figure | None:
-    """Posterior and score of the hypotheses, and where the filter stands, over time."""
+    """Posterior of place and hypotheses, their scores, and where the filter stands, over time."""
     lines = hypothesis_lines(run)
     if not lines:
         return None
-    titles = ["posterior of the hypotheses", "log score against the null hypothesis", "features matched"]
+    titles = ["posterior of place and hypotheses", "log score against the null hypothesis", "features matched"]
     figure = make_subplots(
         3, 1, shared_xaxes=True, vertical_spacing=0.08, subplot_titles=titles, row_heights=[0.42, 0.33, 0.25]
     )
+    figure.add_trace(line(*stated_posterior(run), st.PLACE, line_shape="hv"), 1, 1)
     for i, h in enumerate(lines):
         look = (
             st.Look("nothing matched", st.MUTED, 1.4, "dot")

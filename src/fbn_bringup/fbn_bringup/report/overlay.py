@@ -41,6 +41,12 @@ def hypothesis_lines(run: Run, most: int = 8) -> list[HypothesisLine]:
     return [_line(run, k, rows[k]) for k in ranked]
 
 
+def stated_posterior(run: Run) -> tuple[Array, Array]:
+    """Minutes (n,), and the posterior (n,) that the status gives to the place, over all accounts of features there."""
+    told = run.of("global/status", r.LocalizationStatus)
+    return minutes(run, np.array([s.stamp_ns for s in told])), np.array([s.posterior for s in told])
+
+
 def _line(run: Run, key: int, rows: list[tuple[int, float, float, int]]) -> HypothesisLine:
     stamps, posterior, score, pairs = zip(*rows, strict=True)
     return HypothesisLine(key, minutes(run, np.array(stamps)), np.array(posterior), np.array(score), np.array(pairs))

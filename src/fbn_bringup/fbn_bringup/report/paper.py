@@ -16,7 +16,7 @@ from fbn_bringup.evaluation.run import Run
 from fbn_bringup.evaluation.series import Innovations
 from fbn_bringup.report import layers as ly
 from fbn_bringup.report import style as st
-from fbn_bringup.report.overlay import DiveOverlay, hypothesis_lines, overlays
+from fbn_bringup.report.overlay import DiveOverlay, hypothesis_lines, overlays, stated_posterior
 from fbn_common import chi_square
 from fbn_common.records import Verdict
 from fbn_common.sweep import CELL
@@ -214,10 +214,11 @@ def _aspect(made: list[DiveOverlay]) -> float:
 
 def _posterior(axes: Axes, run: Run, lines: list[Any]) -> None:
     _shade(axes, run)
+    axes.step(*stated_posterior(run), where="post", color=st.PLACE.colour, lw=st.PLACE.width, label=st.PLACE.name)
     for i, h in enumerate(lines):
         colour, label = (st.MUTED, "nothing matched") if h.null else (st.CYCLE[i % 8], f"hypothesis {h.id}")
         axes.plot(h.minutes, h.posterior, ".-", color=colour, lw=1.0, ms=3, label=label)
-    axes.set(title="Posterior of the hypotheses", xlabel="minutes since start", ylim=(-0.04, 1.04))
+    axes.set(title="Posterior of place and hypotheses", xlabel="minutes since start", ylim=(-0.04, 1.04))
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 

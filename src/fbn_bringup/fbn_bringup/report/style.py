@@ -32,6 +32,7 @@ TRUE_FEATURE: Final = Look("true features", "#1f2933")
 TARGET: Final = Look("target", "#d55e00")
 GPS: Final = Look("GPS fixes", "#56b4e9")
 TRACKED: Final = Look("tracked features", "#cc79a7")
+PLACE: Final = Look("the place, as stated", "#1f2933", 2.0)
 
 LOOKS: Final = {
     "truth/odometry": TRUTH,
