@@ -11,8 +11,7 @@ from fbn_common.lie import matrix_from_quaternion
 from fbn_common.types import Array, Vec3
 from fbn_sim.simulation import Simulation
 from fbn_testing.feature_runs import Heard, tracker_of
-from fbn_tracking.composite import cartesian_feature
-from fbn_tracking.geometry import world_point
+from fbn_tracking.geometry import anchored_point, world_point
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.publish import sided
 from fbn_tracking.track import Track, array_pose
@@ -85,7 +84,8 @@ def _moment(window: Window, track: Track, feature: FeatureParameters, simulation
 
 def _smoothed(window: Window, track: Track, feature: FeatureParameters) -> Vec3:
     """Where the tracker shows it."""
-    return np.asarray(cartesian_feature(window.T(track.anchor), track, sided(window, track, feature))[0])
+    mount = track.detections[0].look.mount
+    return np.asarray(anchored_point(window.T(track.anchor), mount, sided(window, track, feature))[0])
 
 
 def _nearest_truth(window: Window, point: Vec3, simulation: Simulation) -> Vec3:

@@ -17,7 +17,7 @@ from fbn_common.records import CompositeFeature, CompositeMeasurement
 from fbn_common.types import Array, Vec2
 from fbn_tracking.elevation import Elevation, elevation_posterior, told
 from fbn_tracking.gating import beam_weights
-from fbn_tracking.geometry import cartesian_jacobian, cross_matrix, finite_slope
+from fbn_tracking.geometry import anchored_point, elevation_scale
 from fbn_tracking.heading import turned, turned_prior
 from fbn_tracking.modes import Surroundings, find_modes
 from fbn_tracking.parameters import FeatureParameters
@@ -125,9 +125,9 @@ def reduce(
     J[4:10, p2 : p2 + 6] = pose_rows(poses[last])
     for n, track in enumerate(tracks):
         rows, at, f = slice(10 + 3 * n, 13 + 3 * n), offset[track.anchor], n_drift + 3 + 3 * n
-        q = estimate.q(track.key)
-        mean[rows], J[rows, at : at + 6], by_q = cartesian_feature(poses[track.anchor], track, q)
-        by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt((root[f + 2] ** 2).sum())))
+        q, seen = estimate.q(track.key), track.detections[0]
+        mean[rows], J[rows, at : at + 6], by_q = anchored_point(poses[track.anchor], seen.look.mount, q)
+        by_q[:, 2] *= elevation_scale(q[2], float(np.sqrt((root[f + 2] ** 2).sum())), *seen.z[4:])
         J[rows, f : f + 3] = by_q
     mean[-3:], J[-3:, n_drift : n_drift + 3] = estimate.state.drift, np.eye(3)
     for row in [4, 5, *(10 + 3 * n + axis for n in range(len(tracks)) for axis in (0, 1))]:
@@ -151,22 +151,6 @@ def pose_rows(T: Array) -> Array:
     rows[:3, 3:] = T[:3, :3]
     rows[3:, :3] = rpy_jacobian(rpy_from_matrix(np.ascontiguousarray(T[:3, :3])))
     return rows
-
-
-def cartesian_feature(T: Array, track: Track, q: Array) -> tuple[Array, Array, Array]:
-    """World point of an anchored feature, and its derivatives by the anchor pose (3, 6) and by q (3, 3)."""
-    mount = track.detections[0].look.mount
-    point, by_q = cartesian_jacobian(q)
-    R = np.ascontiguousarray(T[:3, :3])
-    y = mount[:3, 3] + mount[:3, :3] @ point
-    return T[:3, 3] + R @ y, np.concatenate((-cross_matrix(y, R), R), axis=1), R @ mount[:3, :3] @ by_q
-
-
-def elevation_scale(track: Track, theta: float, sigma_theta: float) -> float:
-    """Finite over local slope of theta by u, over one standard deviation of u (IROS 2007, IV)."""
-    a, c = track.detections[0].z[4:]
-    sigma_u = (a + 3.0 * c * theta**2) * sigma_theta
-    return float(finite_slope(theta, sigma_u, a, c) * min(sigma_u, 1.0) / max(sigma_theta, 1e-9))
 
 
 def compose(part: Part, sequence: int, cell_size: float, frame_id: str) -> CompositeMeasurement:

@@ -58,9 +58,9 @@ def likelier_side(track: Track, q: Vec3, around: Surroundings) -> Vec3:
     R, p = around.stack(d.look for d in detections)
     sides = np.array([q, [q[0], q[1], -q[2]]])
     t = np.array([(d.stamp_ns - first.stamp_ns) / NS for d in detections])
-    free, none = np.zeros((2, 2)), np.zeros((3, 3))
+    z, free, none = widened(detections, around), np.zeros((2, 2)), np.zeros((3, 3))
     at_rest = [np.concatenate((side, np.zeros(2))) for side in sides]
-    energies = [normal_equations(x, R, p, t, widened(detections, around), free, np.zeros(3), none)[2] for x in at_rest]
+    energies = [normal_equations(x, R, p, t, z, free, np.zeros(3), none)[2] for x in at_rest]
     points = np.array([world_point(R[0], p[0], side)[0] for side in sides])
     prior = misses_costs(track.misses, points, around) + place_costs(points, 0.0, track, around)
     return np.asarray(sides[np.argmin(0.5 * np.array(energies) + prior)])

@@ -9,12 +9,9 @@ from fbn_common.kernels import kernel
 from fbn_common.types import Array, Mat3, Vec3
 from fbn_tracking.geometry import (
     anchored_observation,
-    carried,
-    cartesian_jacobian,
-    cross_matrix,
-    finite_slope,
+    anchored_point,
+    elevation_scale,
     observe,
-    times,
     u_from_theta,
 )
 from fbn_tracking.infants import cholesky_solve
@@ -69,15 +66,11 @@ def anchored_place(
     T_anchor: Array, mount: Array, q: Vec3, joint: Array, anchor: int, feature: int, a: float, c: float
 ) -> tuple[Vec3, Mat3]:
     """World point of an anchored feature and its covariance; theta's slope by u over one standard deviation of u."""
-    point, by_q = cartesian_jacobian(q)
-    y, R = carried(mount, point), T_anchor[:3, :3].copy()
-    sigma = np.sqrt(joint[feature + 2, feature + 2])
-    sigma_u = (a + 3.0 * c * q[2] ** 2) * sigma
     J, at = np.empty((3, 9)), np.empty(9, np.int64)
-    J[:, :3], J[:, 3:6], J[:, 6:] = -cross_matrix(y, R), R, times(times(R, mount), by_q)
-    J[:, 8] *= finite_slope(q[2], sigma_u, a, c) * min(sigma_u, 1.0) / max(sigma, 1e-9)
+    point, J[:, :6], J[:, 6:] = anchored_point(T_anchor, mount, q)
+    J[:, 8] *= elevation_scale(q[2], np.sqrt(joint[feature + 2, feature + 2]), a, c)
     at[:6], at[6:] = anchor + np.arange(6), feature + np.arange(3)
-    return carried(T_anchor, y), propagated(J, joint, at)
+    return point, propagated(J, joint, at)
 
 
 @kernel

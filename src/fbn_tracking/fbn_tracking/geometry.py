@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from fbn_common.kernels import kernel
+from fbn_common.lie import product
 from fbn_common.types import Array, Mat3, Vec3
 
 _NEAR = 1e-9  # m: an echo from the array's own axis or origin has no direction
@@ -46,6 +47,13 @@ def finite_slope(theta: float, sigma_u: float, a: float, c: float) -> float:
     u = u_from_theta(theta, a, c)
     s = min(max(sigma_u, 1e-6), 1.0)
     return (theta_from_u(u + s, a, c) - theta_from_u(u - s, a, c)) / (2.0 * s)
+
+
+@kernel
+def elevation_scale(theta: float, sigma_theta: float, a: float, c: float) -> float:
+    """Finite over local slope of theta by u, over one standard deviation of u (IROS 2007, IV)."""
+    sigma_u = (a + 3.0 * c * theta**2) * sigma_theta
+    return finite_slope(theta, sigma_u, a, c) * min(sigma_u, 1.0) / max(sigma_theta, 1e-9)
 
 
 @kernel
@@ -121,16 +129,6 @@ def brought(T: Array, x: Vec3) -> Vec3:
 
 
 @kernel
-def times(d: Mat3, T: Array) -> Mat3:
-    """``d R`` with the rotation of a pose (4, 4), or any matrix of three rows."""
-    out = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = d[i, 0] * T[0, j] + d[i, 1] * T[1, j] + d[i, 2] * T[2, j]
-    return out
-
-
-@kernel
 def times_transposed(d: Mat3, T: Array) -> Mat3:
     """``d R^T``."""
     out = np.empty((3, 3))
@@ -138,6 +136,16 @@ def times_transposed(d: Mat3, T: Array) -> Mat3:
         for j in range(3):
             out[i, j] = d[i, 0] * T[j, 0] + d[i, 1] * T[j, 1] + d[i, 2] * T[j, 2]
     return out
+
+
+@kernel
+def anchored_point(T_anchor: Array, mount: Array, q: Vec3) -> tuple[Vec3, Array, Mat3]:
+    """World point of an anchored feature, and its derivatives by the anchor's tangent (3, 6) and by q (3, 3)."""
+    c, dc = cartesian_jacobian(q)
+    y, R = carried(mount, c), T_anchor[:3, :3].copy()
+    by_anchor = np.empty((3, 6))
+    by_anchor[:, :3], by_anchor[:, 3:] = -cross_matrix(y, R), R
+    return carried(T_anchor, y), by_anchor, product(product(R, mount), dc)
 
 
 @kernel
@@ -154,8 +162,8 @@ def anchored_observation(
     y_j = brought(T_pose, carried(T_anchor, y_a))
     z, d_s = polar_jacobian(brought(mount, y_j))
     d_y = times_transposed(d_s, mount)
-    d_a = times(times_transposed(d_y, T_pose), T_anchor)
+    d_a = product(times_transposed(d_y, T_pose), T_anchor)
     by_anchor, by_pose = np.empty((3, 6)), np.empty((3, 6))
     by_anchor[:, :3], by_anchor[:, 3:] = -cross_matrix(y_a, d_a), d_a
     by_pose[:, :3], by_pose[:, 3:] = cross_matrix(y_j, d_y), -d_y
-    return z, by_anchor, by_pose, times(times(d_a, mount_anchor), dc)
+    return z, by_anchor, by_pose, product(product(d_a, mount_anchor), dc)

@@ -12,7 +12,7 @@ import numpy as np
 
 from fbn_common.kernels import kernel
 from fbn_common.types import Array, Mat2, Mat3, Vec2, Vec3
-from fbn_tracking.geometry import finite_slope, observe, u_from_theta, world_point
+from fbn_tracking.geometry import elevation_scale, observe, u_from_theta, world_point
 
 _ITERATIONS = 20
 _PROFILE_ITERATIONS = 3  # nearly linear in all but theta, and from one angle to the next
@@ -180,12 +180,9 @@ def spread(x: Array, H: Array, R: Mat3, p: Vec3, a: float, c: float) -> tuple[Ve
     bounded = H.copy()
     bounded[2, 2] += 1e-6
     P = symmetric_inverse(bounded)
-    local = a + 3.0 * c * x[2] ** 2
-    sigma_u = local * np.sqrt(max(P[2, 2], 0.0))
-    scale = finite_slope(x[2], sigma_u, a, c) * min(sigma_u, 1.0) / max(np.sqrt(max(P[2, 2], 0.0)), 1e-9)
     J = np.zeros((5, 5))
     J[:3, :3], J[3, 3], J[4, 4] = d_q, 1.0, 1.0
-    J[:3, 2] *= scale
+    J[:3, 2] *= elevation_scale(x[2], np.sqrt(max(P[2, 2], 0.0)), a, c)
     return point, J @ P @ J.T
 
 

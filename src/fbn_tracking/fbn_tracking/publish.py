@@ -6,9 +6,9 @@ import numpy as np
 
 from fbn_common.records import Stage, TrackedFeature, TrackedFeatures
 from fbn_common.types import Array, Mat4, Vec3
-from fbn_tracking.composite import cartesian_feature
 from fbn_tracking.elevation import likelier_side
 from fbn_tracking.gating import anchored_place
+from fbn_tracking.geometry import anchored_point
 from fbn_tracking.matching import Joint, feature_key, pose_key
 from fbn_tracking.modes import Surroundings
 from fbn_tracking.nursery import Nursery
@@ -71,6 +71,6 @@ def _feature(
         at, a, c = joint.offset, first.z[4], first.z[5]
         point, covariance = anchored_place(T_anchor, first.look.mount, q, joint.covariance, at[ka], at[kf], a, c)
     else:
-        point, _, _ = cartesian_feature(T_anchor, track, q)
+        point, _, _ = anchored_point(T_anchor, first.look.mount, q)
         covariance = track.modes[0].covariance[:3, :3] if track.modes else np.eye(3)
     return _record(track, Stage.RETIRED if track.retired else Stage.FEATURE, point, covariance, move)

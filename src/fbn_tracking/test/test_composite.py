@@ -11,13 +11,12 @@ import pytest
 from scipy.optimize import least_squares
 from synthetic_world import World, corridor, play, simulate
 
-from fbn_common.lie import matrix_from_quaternion, rpy_from_matrix, so3_exp, so3_log
+from fbn_common.lie import matrix_from_quaternion, rpy_from_matrix, skew, so3_exp, so3_log
 from fbn_common.sonar import cartesian, polar
 from fbn_testing.gtsam_window import DRIFT, feature_key, graph_of, pose_key, values_of
-from fbn_tracking.composite import cartesian_feature, elevation_scale
 from fbn_tracking.estimator import Tracking
 from fbn_tracking.gating import anchored_place
-from fbn_tracking.geometry import anchored_observation, elevation_shape
+from fbn_tracking.geometry import anchored_observation, cartesian_jacobian, elevation_shape, finite_slope
 from fbn_tracking.matching import Joint, predict_feature
 from fbn_tracking.parameters import CompositeParameters, FeatureParameters, TrackingParameters
 from fbn_tracking.solver import solve
@@ -214,10 +213,12 @@ def test_the_compiled_prediction_and_place_are_the_plain_formulas(smoothed_windo
     np.testing.assert_allclose(found.z, [s[0], s[1], a * s[2] + c * s[2] ** 3], rtol=1e-12)
     np.testing.assert_allclose(found.S, H @ joint.covariance[np.ix_(columns, columns)] @ H.T, rtol=1e-9)
     point, covariance = anchored_place(T_a, first.look.mount, q, joint.covariance, columns[0], kf, *first.z[4:])
-    expected, by_anchor, by_q = cartesian_feature(T_a, track, q)
-    by_q[:, 2] *= elevation_scale(track, q[2], float(np.sqrt(joint.covariance[kf + 2, kf + 2])))
-    J, rows = np.hstack((by_anchor, by_q)), np.r_[columns[:6], columns[12:]]
-    np.testing.assert_allclose(point, expected, rtol=1e-12)
+    mount, R, (in_array, by_q) = first.look.mount, T_a[:3, :3], cartesian_jacobian(q)
+    y, sigma = mount[:3, 3] + mount[:3, :3] @ in_array, float(np.sqrt(joint.covariance[kf + 2, kf + 2]))
+    sigma_u = (first.z[4] + 3.0 * first.z[5] * q[2] ** 2) * sigma
+    by_q[:, 2] *= finite_slope(q[2], sigma_u, *first.z[4:]) * min(sigma_u, 1.0) / sigma
+    J, rows = np.hstack((-R @ skew(y), R, R @ mount[:3, :3] @ by_q)), np.r_[columns[:6], columns[12:]]
+    np.testing.assert_allclose(point, T_a[:3, 3] + R @ y, rtol=1e-12)
     np.testing.assert_allclose(covariance, J @ joint.covariance[np.ix_(rows, rows)] @ J.T, rtol=1e-9)
 
 

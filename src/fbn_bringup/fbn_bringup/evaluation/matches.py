@@ -21,6 +21,7 @@ from fbn_common.records import (
     FeatureMap,
     LocalizationStatus,
     MatchHypotheses,
+    MatchHypothesis,
     Stage,
     TrackedFeatures,
 )
@@ -101,7 +102,7 @@ def matches(
 
     ``answered_ns``: by a composite's stamp, when its answer was published, which is seconds after that stamp.
     """
-    keys = {f.key for c in composites if dive.start_ns <= c.start_ns <= dive.end_ns for f in c.features}
+    keys = _tracked_in(dive, composites)
     end = dive.end_ns + grace_ns
     during = [h for h in hypotheses if dive.start_ns <= h.stamp_ns <= end and h.hypotheses]
     bests = [(answered_ns.get(h.stamp_ns, h.stamp_ns), h.hypotheses[0]) for h in during]
@@ -109,7 +110,7 @@ def matches(
     if not bests:
         return Matches(False, None, 0, 0, 0, 0.0)
     stamp, best = bests[-1]
-    pairs = [(m, k) for m, k in zip(best.map_ids, best.feature_keys, strict=True) if k in keys]
+    pairs = _pairs(best, keys)
     right, wrong = judge(pairs, truth_of_pair, truth)
     declared = bool(pairs) and _declared(statuses, stamp)
     after = (first - dive.start_ns) / 1e9 if first is not None else None
@@ -137,7 +138,7 @@ def statements(
 
     The posterior is the next status's: of the best place, over all accounts that put the vehicle there.
     """
-    keys = {f.key for c in composites if dive.start_ns <= c.start_ns <= dive.end_ns for f in c.features}
+    keys = _tracked_in(dive, composites)
     stamps = [s.stamp_ns for s in statuses]
     found = []
     for answer in hypotheses:
@@ -145,11 +146,20 @@ def statements(
         at = bisect_left(stamps, answered_ns.get(answer.stamp_ns, answer.stamp_ns))
         if best is None or not dive.contains(answer.stamp_ns) or at == len(statuses):
             continue
-        pairs = [(m, k) for m, k in zip(best.map_ids, best.feature_keys, strict=True) if k in keys]
-        right, wrong = judge(pairs, truth_of_key, truth)
+        right, wrong = judge(_pairs(best, keys), truth_of_key, truth)
         if right + wrong:
             found.append(Statement(statuses[at].posterior, right > wrong))
     return tuple(found)
+
+
+def _tracked_in(dive: Dive, composites: Sequence[CompositeMeasurement]) -> set[int]:
+    """Keys of the features tracked in a dive."""
+    return {f.key for c in composites if dive.contains(c.start_ns) for f in c.features}
+
+
+def _pairs(h: MatchHypothesis, keys: set[int]) -> list[tuple[int, int]]:
+    """A hypothesis's pairs (map id, key) of features with these keys."""
+    return [(m, k) for m, k in zip(h.map_ids, h.feature_keys, strict=True) if k in keys]
 
 
 def _declared(statuses: Sequence[LocalizationStatus], answered_ns: int) -> bool:

@@ -34,7 +34,7 @@ def standstill(start_ns: int) -> PredictedMotion:
 def warm_up(config: Config, size: int, rows: int) -> None:
     """Run a filter of this size over one measurement of each kind."""
     ekf = MotionEkf(size, rows, config, 1.0, lambda slot, x, p: None)
-    prior = VehicleParameters(0, "map", np.full(15, 0.1), np.eye(15))
+    prior = VehicleParameters(0, "map", _PARAMETERS, np.eye(15))
     compass = np.concatenate((np.eye(3).ravel(), 0.01 * np.eye(3).ravel()))
     own = config.variance[: size - OWN]
     ekf.start(first_state(0, compass, np.array([0.0, 0.01]), prior, np.zeros(6), 1.0, own, rows))
