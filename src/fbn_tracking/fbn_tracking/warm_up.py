@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from fbn_common import lie
-from fbn_tracking import factors, gating, geometry, infants, motion_check, swept
+from fbn_tracking import factors, gating, geometry, infants, motion_check, swept, track
 
 
 @cache
@@ -23,6 +23,7 @@ def warm_up() -> None:
     geometry.theta_from_u(1.0, z[4], z[5])
     geometry.elevation_scale(0.1, 0.5, 0.3, 150.0)
     geometry.anchored_point(pose, mount, q)
+    track.array_pose(pose, mount)
     geometry.world_point(eye3, zero3, q)
     geometry.observe(eye3, zero3, np.array([1.0, 2.0, 3.0]))
     R, p, t = np.stack((eye3, eye3)), np.zeros((2, 3)), np.zeros(2)
