@@ -114,6 +114,27 @@ class Nursery:
             self.counts["motion_refusals"] += 1
         return not moving
 
+    def take_out_moving(self, window: Window) -> None:
+        """Take out of the graph the features that their later echoes show to move.
+
+        A lone thing that moves steadily looks like an error of dead reckoning, and makes the smoother believe so: it is
+        asked by dead reckoning's poses and the drift as it was known without any feature.
+        """
+        if not window.features:
+            return
+        around = Surroundings(
+            window.dead_reckoned(),
+            window.pings,
+            slack(window, window.base.covariance[4:, 4:]),
+            self.parameters.feature,
+        )
+        checks = {key: of_track(track, around) for key, track in window.features.items()}
+        moving = [key for key, c in checks.items() if c and c.moving(self.parameters.infant.static_probability)]
+        if moving:
+            window.give_up(moving)
+            window.update()
+            self.counts["features_taken_out"] += len(moving)
+
     def _graduate(self, window: Window, track: Track) -> None:
         del self.infants[track.key]
         track.score = _CERTAIN

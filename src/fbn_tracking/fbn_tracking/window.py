@@ -5,6 +5,7 @@ Everything is kept as plain records too, so that the system can be built anew: f
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -71,6 +72,10 @@ class Window:
         """The estimate of the drift (3) [m/s]."""
         return self.estimate.state.drift
 
+    def dead_reckoned(self) -> dict[int, Mat4]:
+        """The poses by their links alone, T_world_base by index, no feature having said anything."""
+        return dict(zip(self.pings, dead_reckoned(self.base, list(self.pings.values())).T, strict=True))
+
     def start(self, T: Array, drift: Vec3) -> None:
         """Begin with these initial values, of all poses and the drift, instead of dead reckoning's."""
         self._set(State(T, drift, self.estimate.state.q))
@@ -97,16 +102,20 @@ class Window:
         track.detections.append(detection)
         self.system.add_detection(track, detection, self._rows[track.key], self.first)
 
+    def give_up(self, keys: Iterable[int]) -> None:
+        """Forget these features and all they said, the rest starting from dead reckoning again."""
+        for key in keys:
+            self.features.pop(key).retired = True
+        self._solution = None
+        self.__post_init__()
+
     def update(self) -> None:
         """Smooth; a numerical failure is counted, and the features given up: the motion alone cannot fail."""
         try:
             self._solve()
         except RuntimeError:
             self.failures += 1
-            for track in self.features.values():
-                track.retired = True
-            self.features.clear()
-            self.__post_init__()
+            self.give_up(list(self.features))
             self._solve()
 
     def smoothed(self, index: int) -> bool:
