@@ -42,6 +42,7 @@ def cut(window: Window, last: int, nursery: Nursery, par: TrackingParameters) ->
     for track in window.features.values():
         carry(window, young, track, last, part, numbers.get(track.key), nursery)
     trim(nursery, last)
+    young.update()
     nursery.refresh(list(nursery.infants.values()), nursery.around(young, young.base.covariance[4:, 4:]))
     nursery.tend(young, window.pings[window.last].stamp_ns)
     return part, young

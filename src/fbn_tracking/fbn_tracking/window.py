@@ -13,6 +13,7 @@ import numpy as np
 from fbn_common.records import PingMotion
 from fbn_common.types import Array, Mat3, Mat4, Vec3
 from fbn_tracking import factors
+from fbn_tracking.geometry import anchored_point
 from fbn_tracking.solver import Solution, solve
 from fbn_tracking.system import Estimate, State, System, base_row
 from fbn_tracking.track import Detection, Ping, Track
@@ -68,6 +69,11 @@ class Window:
         """The estimate of a pose, T_world_base."""
         return self.estimate.T(index)
 
+    def place(self, track: Track) -> Vec3:
+        """The estimate of a feature's place in the world [m]."""
+        point, _, _ = anchored_point(self.T(track.anchor), track.detections[0].look.mount, self.estimate.q(track.key))
+        return point
+
     def drift(self) -> Vec3:
         """The estimate of the drift (3) [m/s]."""
         return self.estimate.state.drift
@@ -103,11 +109,13 @@ class Window:
         self.system.add_detection(track, detection, self._rows[track.key], self.first)
 
     def give_up(self, keys: Iterable[int]) -> None:
-        """Forget these features and all they said, the rest starting from dead reckoning again."""
+        """Forget these features and all they said; poses and drift start from dead reckoning again."""
         for key in keys:
             self.features.pop(key).retired = True
+        q = np.array([self.estimate.q(key) for key in self.features]).reshape(-1, 3)
         self._solution = None
         self.__post_init__()
+        self._set(self.estimate.state._replace(q=q))
 
     def update(self) -> None:
         """Smooth; a numerical failure is counted, and the features given up: the motion alone cannot fail."""
