@@ -87,30 +87,24 @@ def quaternion_from_matrix(rotation: Mat3) -> Quaternion:
 @inner_kernel
 def quaternion_into(rotation: Mat3, q: Quaternion) -> None:
     """:func:`quaternion_from_matrix` written into ``q``."""
-    r = rotation
+    q[0], q[1], q[2], q[3] = _quaternion(rotation)
+
+
+@inner_kernel
+def _quaternion(r: Mat3) -> tuple[float, float, float, float]:
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     if trace > r[0, 0] and trace > r[1, 1] and trace > r[2, 2]:
-        s = 2.0 * np.sqrt(1.0 + trace)
-        q[3] = 0.25 * s
-        q[0] = (r[2, 1] - r[1, 2]) / s
-        q[1] = (r[0, 2] - r[2, 0]) / s
-        q[2] = (r[1, 0] - r[0, 1]) / s
+        x, y, z, w = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1.0 + trace
+    elif r[0, 0] >= r[1, 1] and r[0, 0] >= r[2, 2]:
+        x, y, z, w = 1.0 + 2.0 * r[0, 0] - trace, r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]
+    elif r[1, 1] >= r[2, 2]:
+        x, y, z, w = r[1, 0] + r[0, 1], 1.0 + 2.0 * r[1, 1] - trace, r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]
     else:
-        i = 0
-        if r[1, 1] > r[0, 0]:
-            i = 1
-        if r[2, 2] > r[i, i]:
-            i = 2
-        j, k = (i + 1) % 3, (i + 2) % 3
-        s = 2.0 * np.sqrt(1.0 + r[i, i] - r[j, j] - r[k, k])
-        s = -s if r[k, j] < r[j, k] else s  # w >= 0
-        q[i] = 0.25 * s
-        q[3] = (r[k, j] - r[j, k]) / s
-        q[j] = (r[j, i] + r[i, j]) / s
-        q[k] = (r[k, i] + r[i, k]) / s
-    length = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    for k in range(4):
-        q[k] /= length
+        x, y, z, w = r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], 1.0 + 2.0 * r[2, 2] - trace, r[1, 0] - r[0, 1]
+    scale = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
+    if w < 0.0:
+        scale = -scale
+    return scale * x, scale * y, scale * z, scale * w
 
 
 @kernel
@@ -128,11 +122,18 @@ def matrix_from_quaternion(quaternion: Quaternion) -> Mat3:
 @kernel
 def so3_log(rotation: Mat3) -> Vec3:
     """Rotation vector [rad], of length at most pi, of a rotation matrix (through the quaternion: stable at pi)."""
-    q = quaternion_from_matrix(rotation)
-    n = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2)
-    if n < _SMALL:
-        return 2.0 * q[:3]
-    return (2.0 * np.arctan2(n, q[3]) / n) * q[:3]
+    out = np.empty(3)
+    so3_log_into(rotation, out)
+    return out
+
+
+@inner_kernel
+def so3_log_into(rotation: Mat3, out: Vec3) -> None:
+    """:func:`so3_log` written into ``out``."""
+    x, y, z, w = _quaternion(rotation)
+    n = np.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if n < _SMALL else 2.0 * np.arctan2(n, w) / n
+    out[0], out[1], out[2] = scale * x, scale * y, scale * z
 
 
 @kernel
