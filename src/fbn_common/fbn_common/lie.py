@@ -110,13 +110,19 @@ def _quaternion(r: Mat3) -> tuple[float, float, float, float]:
 @kernel
 def matrix_from_quaternion(quaternion: Quaternion) -> Mat3:
     """Rotation matrix of a quaternion x, y, z, w (normalised here; its norm must not be zero)."""
-    q = quaternion / np.sqrt((quaternion * quaternion).sum())
-    x, y, z, w = q[0], q[1], q[2], q[3]
     m = np.empty((3, 3))
+    matrix_from_quaternion_into(quaternion, m)
+    return m
+
+
+@inner_kernel
+def matrix_from_quaternion_into(q: Quaternion, m: Mat3) -> None:
+    """:func:`matrix_from_quaternion` written into ``m``."""
+    length = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    x, y, z, w = q[0] / length, q[1] / length, q[2] / length, q[3] / length
     m[0, 0], m[0, 1], m[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
     m[1, 0], m[1, 1], m[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
     m[2, 0], m[2, 1], m[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
-    return m
 
 
 @kernel
