@@ -35,7 +35,7 @@ def inner_kernel(function: F) -> F:
     Counting them costs more than the work of a function that is called many times a step.
     """
     config.CACHE_DIR = str(cache_directory(function.__module__.partition(".")[0]))  # type: ignore[attr-defined]
-    return cast(F, njit(cache=True, _nrt=False)(function))
+    return cast(F, njit(cache=True, _nrt=False)(function))  # type: ignore[call-overload]  # an option not in its types
 
 
 @cache
