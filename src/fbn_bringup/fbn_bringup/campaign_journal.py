@@ -75,11 +75,17 @@ def fingerprint(plan: Plan) -> str:
     digest = hashlib.sha256(repr((plan.scenario, plan.settings)).encode())
     for path in _files(plan):
         digest.update(path.read_bytes())
-    root = project_root()
+    digest.update(code().encode())
+    return digest.hexdigest()[:16]
+
+
+def code() -> str:
+    """A digest of the sources of all packages, as they are on disk now."""
+    digest, root = hashlib.sha256(), project_root()
     for path in sorted((root / "src").glob("*/fbn_*/**/*")) if root else ():
         if path.suffix in (".py", ".yaml"):
             digest.update(str(path.relative_to(root or path)).encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest.hexdigest()
 
 
 def _files(plan: Plan) -> Iterator[Path]:

@@ -1,7 +1,7 @@
 """What the tracker finds, where, and how sure of it: over many simulated missions, by the truth.
 
 python -m fbn_testing.feature_study depth_of_features --seeds 0:50 --figure depth.png --story story.png
-python -m fbn_testing.feature_study any_height --seeds 0:50
+python -m fbn_testing.feature_study any_height --seeds 0:50 --jobs 2 --keep heights
 python -m fbn_testing.feature_study changing_depth --seeds 0:50
 python -m fbn_testing.feature_study charles_river_2006 --seeds 0:50
 python -m fbn_testing.feature_study clutter --seeds 0:50
@@ -16,21 +16,22 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track as progress
 from rich.table import Table
 
 from fbn_common import chi_square
 from fbn_common.types import Array
 from fbn_testing.feature_figures import Section, draw_sections
 from fbn_testing.feature_judge import Verdict, judge
-from fbn_testing.feature_runs import hear, track
+from fbn_testing.feature_runs import Heard, Outcome, hear, track
 from fbn_testing.feature_story import PASSAGE, draw_story, off_lobe, stories
+from fbn_testing.seeds import How, add_options, run_seeds
 
 console = Console(highlight=False, width=150)
 CUBIC, LINEAR = {"feature.elevation": "cubic"}, {"feature.elevation": "linear"}
@@ -51,6 +52,13 @@ class Study(NamedTuple):
 
     scenario: str
     variants: dict[str, tuple[Mapping[str, Any], Mapping[str, Any]]]
+
+
+class Mission(NamedTuple):
+    """One seed: what each variant came to, and the time it all took."""
+
+    verdicts: dict[str, Verdict]
+    cpu_s: float
 
 
 def against_linear(scenario: Mapping[str, Any]) -> dict[str, tuple[Mapping[str, Any], Mapping[str, Any]]]:
@@ -82,32 +90,36 @@ def main() -> None:
     parser.add_argument("--seeds", default="0:50", help="first:last, the last one excluded")
     parser.add_argument("--figure", type=Path, help="PNG: vertical sections of the first seed, by variant")
     parser.add_argument("--story", type=Path, help="PNG: a feature of the first seed, from its first echo on")
+    add_options(parser)
     given = parser.parse_args()
     first, last = (int(n) for n in given.seeds.split(":"))
     if given.story:
         draw_story(off_lobe(stories(hear("depth_of_features", first, PASSAGE))), given.story)
-    began = time.process_time()
-    verdicts = run(STUDIES[given.study], range(first, last), given.figure)
+    chosen = STUDIES[given.study]
+    missions = run_seeds(partial(mission, chosen), range(first, last), "missions", How(given.jobs, given.keep))
+    verdicts = {name: [m.verdicts[name] for m in missions] for name in chosen.variants}
+    if given.figure:
+        draw_sections([Section(*named) for named in outcomes(chosen, first)], given.figure)
     for table in (places(verdicts), found(verdicts), drift(verdicts)):
         console.print(table, "")
-    console.print(f"[dim]{(time.process_time() - began) / (last - first):.1f} s of CPU time a seed")
+    console.print(f"[dim]{np.mean([m.cpu_s for m in missions]):.1f} s of CPU time a seed")
 
 
-def run(study: Study, seeds: range, figure: Path | None) -> dict[str, list[Verdict]]:
-    """All variants on all seeds; what variants hear alike is simulated once."""
-    verdicts: dict[str, list[Verdict]] = {name: [] for name in study.variants}
-    for seed in progress(seeds, description="missions", console=Console(stderr=True)):
-        missions, sections = {}, []
-        for name, (changes, settings) in study.variants.items():
-            key = repr(sorted(changes.items()))
-            if key not in missions:
-                missions[key] = hear(study.scenario, seed, changes)
-            outcome = track(missions[key], settings)
-            verdicts[name].append(judge(outcome))
-            sections.append(Section(name, outcome))
-        if figure and seed == seeds[0]:
-            draw_sections(sections, figure)
-    return verdicts
+def mission(study: Study, seed: int) -> Mission:
+    """All variants on one seed, judged."""
+    began = time.process_time()
+    verdicts = {name: judge(outcome) for name, outcome in outcomes(study, seed)}
+    return Mission(verdicts, time.process_time() - began)
+
+
+def outcomes(study: Study, seed: int) -> Iterator[tuple[str, Outcome]]:
+    """All variants on one seed by name; what variants hear alike is simulated once."""
+    heard: dict[str, Heard] = {}
+    for name, (changes, settings) in study.variants.items():
+        key = repr(sorted(changes.items()))
+        if key not in heard:
+            heard[key] = hear(study.scenario, seed, changes)
+        yield name, track(heard[key], settings)
 
 
 def places(verdicts: dict[str, list[Verdict]]) -> Table:

@@ -12,14 +12,10 @@ python -m fbn_testing.matching_study even_odds --seeds 100 --figure reliability.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-
-from rich.progress import track
 
 from fbn_bringup.evaluation import calibration
 from fbn_common.records import Localization
@@ -28,6 +24,7 @@ from fbn_testing import ideal_observer
 from fbn_testing.composite_world import Run, World
 from fbn_testing.matching_play import Outcome, play
 from fbn_testing.matching_worlds import drawn, elsewhere, river_world, rows_world
+from fbn_testing.seeds import How, add_options, run_seeds
 
 Make = Callable[[int], Run]
 
@@ -38,7 +35,7 @@ class Options:
 
     seeds: range
     methods: tuple[str, ...]
-    jobs: int
+    how: How
     figure: Path | None
 
 
@@ -63,14 +60,6 @@ def play_rows(offset: float, observed: int, methods: tuple[str, ...], seed: int)
     belief = ideal_observer.believe(settings, run, GlobalParameters())
     outcomes = {method: play(run, GlobalParameters(method=method)) for method in methods}
     return Played(outcomes, belief.verdict(GlobalParameters().verdict))
-
-
-def play_all(one: Callable[[int], Played], o: Options, name: str) -> list[Played]:
-    """All seeds, in order, in so many processes."""
-    if o.jobs == 1:
-        return [one(seed) for seed in track(o.seeds, name)]
-    with ProcessPoolExecutor(o.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return list(track(pool.map(one, o.seeds), name, total=len(o.seeds)))
 
 
 def summary(outcomes: list[Outcome]) -> str:
@@ -118,7 +107,7 @@ def row_ambiguity(o: Options) -> None:
     for observed in (3, 5):
         for offset in (5.0, 8.0, 12.0):
             where = f"columns {observed} offset {offset:4.0f} m"
-            played = play_all(partial(play_rows, offset, observed, o.methods), o, where)
+            played = run_seeds(partial(play_rows, offset, observed, o.methods), o.seeds, where, o.how)
             print(f"{where} ideal {ideal(played)}")
             for method in o.methods:
                 rates = summary([p.outcomes[method] for p in played])
@@ -127,12 +116,12 @@ def row_ambiguity(o: Options) -> None:
 
 def worlds(make: Make, o: Options) -> None:
     """Rates of each method in one kind of world."""
-    show(play_all(partial(play_world, make, o.methods), o, "worlds"), o)
+    show(run_seeds(partial(play_world, make, o.methods), o.seeds, "worlds", o.how), o)
 
 
 def calibrate(make: Make, o: Options) -> None:
     """Of all the times that a posterior is stated, how often it is right; the map's error is drawn as it is stated."""
-    played = play_all(partial(play_world, make, o.methods), o, "worlds")
+    played = run_seeds(partial(play_world, make, o.methods), o.seeds, "worlds", o.how)
     show(played, o)
     for method in o.methods:
         print(f"{method:5s} expected calibration error {calibration.expected_error(stated(played, method)):.3f}")
@@ -178,11 +167,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20, help="how many")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--methods", default="NAPS", help=f"of {','.join(METHODS)}")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    add_options(parser)
     parser.add_argument("--figure", type=Path, help="reliability diagram (PNG), of calibration, even_odds")
     given = parser.parse_args()
     seeds = range(given.first, given.first + given.seeds)
-    STUDIES[given.study](Options(seeds, tuple(given.methods.split(",")), given.jobs, given.figure))
+    STUDIES[given.study](Options(seeds, tuple(given.methods.split(",")), How(given.jobs, given.keep), given.figure))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How good dead reckoning, the reference filter and the estimated current are, over many simulated transits.
 
-python -m fbn_testing.motion_study transit --seeds 0:50
+python -m fbn_testing.motion_study transit --seeds 0:50 --jobs 2 --keep transits
 python -m fbn_testing.motion_study transit --seeds 0:50 --current 0.2 --compare --figure transit.png
 python -m fbn_testing.motion_study transit --seeds 0:50 --without-considered
 python -m fbn_testing.motion_study faults
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from fbn_bringup.ui import number, out, progress, table
 from fbn_common import chi_square
 from fbn_testing.motion_faults import BEGIN_S, END_S, KINDS, SENSORS, Cell, cell, heard_with, listen, voyage
 from fbn_testing.motion_voyage import NIS_GROUPS, Judged, front_half, in_map, judge, navigate, transit
+from fbn_testing.seeds import How, add_options, run_seeds
 
 MEASURES = {
     "drift_percent": "dead reckoning's error [% of distance]",
@@ -60,25 +62,11 @@ AS_WHITE = {  # lasting errors of sensors and surface: none, and all that is sta
 }
 
 
-def voyages(
-    seeds: Iterable[int], current: float, scenario: dict[str, Any], settings: dict[str, Any], shared: bool
-) -> list[Judged]:
-    """All seeds' transits, judged."""
-    seeds, found = list(seeds), []
-    how = "" if shared else ", parameters not shared"
-    with progress(f"transits, current {current:g} m/s{how}") as advance:
-        for i, seed in enumerate(seeds):
-            advance(i / len(seeds), f"seed {seed}")
-            simulation = transit(current, seed, scenario)
-            found.append(
-                judge(
-                    simulation,
-                    navigate(
-                        front_half(in_map(simulation.scenario.world.datum) | settings), simulation.records(), shared
-                    ),
-                )
-            )
-    return found
+def voyage_of(current: float, scenario: dict[str, Any], settings: dict[str, Any], shared: bool, seed: int) -> Judged:
+    """One seed's transit, judged."""
+    simulation = transit(current, seed, scenario)
+    estimators = front_half(in_map(simulation.scenario.world.datum) | settings)
+    return judge(simulation, navigate(estimators, simulation.records(), shared))
 
 
 def report(title: str, found: list[Judged]) -> None:
@@ -137,8 +125,10 @@ def _transit(a: argparse.Namespace) -> None:
         kinds["lasting errors as white noise"] = (AS_WHITE | settings, True)
     groups = {}
     for label, (chosen, shared) in kinds.items():
-        groups[label] = voyages(seeds, a.current, scenario, chosen, shared)
-        report(f"no_map_transit, current {a.current:g} m/s, {label}", groups[label])
+        title = f"no_map_transit, current {a.current:g} m/s, {label}"
+        one = partial(voyage_of, a.current, scenario, chosen, shared)
+        groups[label] = run_seeds(one, seeds, title, How(a.jobs, a.keep))
+        report(title, groups[label])
     if a.figure:
         figure(a.figure, f"current {a.current:g} m/s, {len(seeds)} seeds", groups)
 
@@ -195,6 +185,7 @@ def main() -> None:
     p.add_argument("--figure", type=Path, metavar="PNG", help="error against distance")
     p.add_argument("--scenario", action="append", default=[], metavar="NAME=VALUE", help="of the simulator")
     p.add_argument("--set", action="append", default=[], metavar="NODE.NAME=VALUE", help="of an estimator")
+    add_options(p)
     p.set_defaults(study=_transit)
     p = studies.add_parser("faults", help="each sensor with each fault")
     p.add_argument("--seed", default="3", help="of the voyage")

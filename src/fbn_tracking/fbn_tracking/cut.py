@@ -34,6 +34,7 @@ def cut(window: Window, last: int, nursery: Nursery, par: TrackingParameters) ->
     No measurement is in both: links, earth measurements and features' detections up to ``last`` are in the part,
     all others in the window; what the part knows of its last pose goes over as a prior that is stated.
     """
+    nursery.take_out_moving(window)
     part = marginalise(window, last, slack(window, window.base.covariance[4:, 4:]), par.feature)
     young = Window(handover(part, last), {i: p for i, p in window.pings.items() if i >= last}, window.weak_theta_sigma)
     young.start(carried_poses(window, part, last), window.drift())
@@ -41,6 +42,7 @@ def cut(window: Window, last: int, nursery: Nursery, par: TrackingParameters) ->
     for track in window.features.values():
         carry(window, young, track, last, part, numbers.get(track.key), nursery)
     trim(nursery, last)
+    young.update()
     nursery.refresh(list(nursery.infants.values()), nursery.around(young, young.base.covariance[4:, 4:]))
     nursery.tend(young, window.pings[window.last].stamp_ns)
     return part, young

@@ -16,7 +16,10 @@ from fbn_tracking.parameters import TrackingParameters
 from fbn_tracking.track import Detection, Track
 from fbn_tracking.window import Window
 
+_STALE = 0.05  # m, the range's own sigma: by how much poses may have moved under an infant
 _CERTAIN = 50.0  # score of what has graduated once
+_SIZE = 0.05  # m, of a thing
+_SAME_PLACE = float(chi_square.bound(0.99, 2))
 _AGAIN = 4  # detections in a new window after which a known feature is in the graph again
 
 
@@ -28,6 +31,8 @@ class Nursery:
         self.infants: dict[int, Track] = {}
         self.counts: Counter[str] = Counter()
         self._next_key = 1
+        self._placed: Window | None = None  # the window by which infants stand where they stand,
+        self._placed_drift = np.zeros(3)  # and its drift then
 
     def born(self, detection: Detection) -> None:
         """A new infant from one echo; beyond the limit the least likely infant makes room."""
@@ -58,6 +63,14 @@ class Nursery:
             track.modes = find_modes(track, around)
             if track.memory is None and len(track.detections) >= self.parameters.infant.detections_at_end:
                 track.motion = of_track(track, around)
+
+    def follow(self, window: Window, drift_covariance: Mat3) -> None:
+        """Place all infants anew where the smoother has moved the poses under them: after a cut, as it learns drift."""
+        drift, span = window.drift(), (window.pings[window.last].stamp_ns - window.pings[window.first].stamp_ns) / NS
+        if self._placed is window and float(np.abs(drift - self._placed_drift).max()) * span < _STALE:
+            return
+        self._placed, self._placed_drift = window, drift.copy()
+        self.refresh(list(self.infants.values()), self.around(window, drift_covariance))
 
     def around(self, window: Window, drift_covariance: Mat3) -> Surroundings:
         """The poses as they now are."""
@@ -114,8 +127,46 @@ class Nursery:
             self.counts["motion_refusals"] += 1
         return not moving
 
+    def take_out_moving(self, window: Window) -> None:
+        """Take out of the graph the features that their later echoes show to move.
+
+        A lone thing that moves steadily looks like an error of dead reckoning, and makes the smoother believe so: it is
+        asked by dead reckoning's poses and the drift as it was known without any feature.
+        """
+        if not window.features:
+            return
+        around = Surroundings(
+            window.dead_reckoned(),
+            window.pings,
+            slack(window, window.base.covariance[4:, 4:]),
+            self.parameters.feature,
+        )
+        checks = {key: of_track(track, around) for key, track in window.features.items()}
+        moving = [key for key, c in checks.items() if c and c.moving(self.parameters.infant.static_probability)]
+        if moving:
+            window.give_up(moving)
+            window.update()
+            self.counts["features_taken_out"] += len(moving)
+
+    def twin(self, window: Window, track: Track) -> bool:
+        """Whether a feature of the graph is the same thing: there within its errors, and never seen beside it.
+
+        Two things a metre apart are two echoes of one look sooner or later.
+        """
+        mode, seen = track.modes[0], {(d.look.index, d.look.array) for d in track.detections}
+        for other in window.features.values():
+            beside = seen & {(d.look.index, d.look.array) for d in other.detections}
+            apart = (mode.point - window.place(other))[:2]
+            covariance = 2.0 * mode.given_poses[:2, :2] + _SIZE**2 * np.eye(2)
+            if not beside and float(apart @ np.linalg.solve(covariance, apart)) < _SAME_PLACE:
+                return True
+        return False
+
     def _graduate(self, window: Window, track: Track) -> None:
         del self.infants[track.key]
+        if track.memory is None and self.twin(window, track):
+            self.counts["twins_dropped"] += 1
+            return
         track.score = _CERTAIN
         window.add_feature(track, track.modes[0].x[:3].copy())
         self.counts["graduated_again" if track.memory is not None else "graduated"] += 1

@@ -29,8 +29,9 @@ class Scanner:
     def scan(self, window: Window, look: Look, echoes: list[Detection]) -> list[Innovation]:
         """Take in a look's echoes; gives the innovation of each that was matched."""
         features = [t for t in window.features.values() if not t.retired and t.anchor <= look.index]
-        infants = [t for t in self.nursery.infants.values() if t.modes]
         drift_covariance = self._refresh_joint(window, look.index, features)
+        self.nursery.follow(window, drift_covariance)
+        infants = [t for t in self.nursery.infants.values() if t.modes]
         predictions = [predict_feature(window, t, look, self.joint) for t in features] if self.joint else []
         predictions += predict_infants(window, infants, look)
         matches = match(predictions, echoes, look, self._gate, self.parameters.infant.clutter)

@@ -5,6 +5,7 @@ Everything is kept as plain records too, so that the system can be built anew: f
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from fbn_common.records import PingMotion
 from fbn_common.types import Array, Mat3, Mat4, Vec3
 from fbn_tracking import factors
+from fbn_tracking.geometry import anchored_point
 from fbn_tracking.solver import Solution, solve
 from fbn_tracking.system import Estimate, State, System, base_row
 from fbn_tracking.track import Detection, Ping, Track
@@ -67,9 +69,18 @@ class Window:
         """The estimate of a pose, T_world_base."""
         return self.estimate.T(index)
 
+    def place(self, track: Track) -> Vec3:
+        """The estimate of a feature's place in the world [m]."""
+        point, _, _ = anchored_point(self.T(track.anchor), track.detections[0].look.mount, self.estimate.q(track.key))
+        return point
+
     def drift(self) -> Vec3:
         """The estimate of the drift (3) [m/s]."""
         return self.estimate.state.drift
+
+    def dead_reckoned(self) -> dict[int, Mat4]:
+        """The poses by their links alone, T_world_base by index, no feature having said anything."""
+        return dict(zip(self.pings, dead_reckoned(self.base, list(self.pings.values())).T, strict=True))
 
     def start(self, T: Array, drift: Vec3) -> None:
         """Begin with these initial values, of all poses and the drift, instead of dead reckoning's."""
@@ -97,16 +108,22 @@ class Window:
         track.detections.append(detection)
         self.system.add_detection(track, detection, self._rows[track.key], self.first)
 
+    def give_up(self, keys: Iterable[int]) -> None:
+        """Forget these features and all they said; poses and drift start from dead reckoning again."""
+        for key in keys:
+            self.features.pop(key).retired = True
+        q = np.array([self.estimate.q(key) for key in self.features]).reshape(-1, 3)
+        self._solution = None
+        self.__post_init__()
+        self._set(self.estimate.state._replace(q=q))
+
     def update(self) -> None:
         """Smooth; a numerical failure is counted, and the features given up: the motion alone cannot fail."""
         try:
             self._solve()
         except RuntimeError:
             self.failures += 1
-            for track in self.features.values():
-                track.retired = True
-            self.features.clear()
-            self.__post_init__()
+            self.give_up(list(self.features))
             self._solve()
 
     def smoothed(self, index: int) -> bool:
