@@ -186,14 +186,14 @@ def fates(messages: Sequence[r.TrackedFeatures]) -> tuple[Array, Array]:
 
 
 def tracking_figure(run: Run) -> go.Figure | None:
-    """Infants, features and retired features, what became of infants, and the detections per ping."""
+    """Infants, features and retired features, what became of infants, and the detections per array and ping."""
     messages = run.of("tracking/features", r.TrackedFeatures)
     if not messages:
         return None
-    titles = ["tracked, by stage", "infants promoted and deleted so far", "detections per ping"]
+    titles = ["tracked, by stage", "infants promoted and deleted so far", "detections per array and ping"]
     figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.08, subplot_titles=titles)
     kept = ly.thinned(len(messages))
-    counts_of = zip(("promoted", "deleted"), fates(messages), ("#009e73", "#d55e00"), strict=True)
+    counts_of = zip(("promoted", "deleted"), fates(messages), ("#0072b2", "#d55e00"), strict=True)
     messages = [messages[i] for i in kept]
     time = ly.minutes(run, np.array([m.stamp_ns for m in messages]))
     for name, count, colour in counts_of:

@@ -37,7 +37,10 @@ WORDS = {  # title, and what one sees
         "The bank of hypotheses over time; and at each dive's end what was tracked (purple) and swept (blue), laid on "
         "the map as each likely hypothesis has it. Circles: should have been seen in this dive, and was not.",
     ),
-    "tracking": ("Tracking", "Objects by stage, and how much the sonar said."),
+    "tracking": (
+        "Tracking",
+        "Objects by stage (infants from their second echo), their fates, and how much the sonar said.",
+    ),
     "profile": ("Depth", "Depth of the vehicle, and of the bottom under it."),
     "consistency": ("Consistency", "Is each estimate as good as it says? 1 is right, more is over-confident."),
     "innovations": (
