@@ -1,6 +1,7 @@
 """The tracker's time: per ping and cut, its smoother beside gtsam's IncrementalFixedLagSmoother; flat over hours.
 
 tools/run python benchmarks/tracking.py
+tools/run python benchmarks/tracking.py --seeds 0:50
 tools/run python benchmarks/tracking.py --hours 3 --figure hours.png
 
 How well it finds what is there: ``python -m fbn_testing.feature_study``.
@@ -24,11 +25,12 @@ import gtsam
 import numpy as np
 from graph import calibration
 from rich.console import Console
+from rich.progress import track as progress
 from rich.table import Table
 
 from fbn_bringup.offline import Step
 from fbn_common.records import CompositeMeasurement, PingMotion, SonarDetections, TrackedFeatures
-from fbn_common.types import NS
+from fbn_common.types import NS, Array
 from fbn_testing.feature_runs import Heard, hear
 from fbn_testing.gtsam_window import (
     DRIFT,
@@ -42,7 +44,8 @@ from fbn_testing.gtsam_window import (
 from fbn_tracking.estimator import Tracking
 from fbn_tracking.window import Window
 
-console = Console(highlight=False, width=110)
+console = Console(highlight=False, width=120)
+errors = Console(stderr=True)
 SHORT_S = 200.0  # of the mission, where it is one benchmark among others
 LAG_S = 30.0  # of the fixed-lag smoother: an infant's ten seconds and its feature's stay
 
@@ -160,34 +163,76 @@ def shifted(record: PingMotion | SonarDetections, by_ns: int) -> PingMotion | So
     return replace(record, stamp_ns=record.stamp_ns + by_ns)
 
 
-def quantiles(name: str, seconds: list[float], made: Table) -> None:
-    """A row of median, 95 % and worst [ms]."""
-    made.add_row(name, str(len(seconds)), *(f"{1e3 * np.quantile(seconds, q):.1f}" for q in (0.5, 0.95, 1.0)))
+ROWS = {
+    "a ping, all of it": lambda plain, beside: plain.ping,
+    "a ping with a cut": lambda plain, beside: plain.cut,
+    "smoother: our window": lambda plain, beside: beside.smoother,
+    f"smoother: gtsam's fixed lag of {LAG_S:.0f} s": lambda plain, beside: beside.peer,
+}
 
 
-def speed(rate: float, density: int, limit_s: float = 0.0) -> Table:
-    """Times at a ping rate [Hz]; ``density`` times as many features as usual; the whole mission where no limit is."""
+class Mission(NamedTuple):
+    """One mission's times: the tracker alone, and with the peer beside its smoother."""
+
+    plain: Times
+    beside: Times
+    echoes: float  # a ping
+
+
+def fly(rate: float, density: int, seed: int, limit_s: float = 0.0) -> Mission:
+    """A mission at a ping rate [Hz]; ``density`` times as many features as usual; all of it where no limit is."""
     rows = ("left_near", "right_near", "left_far", "right_far")
     changes = {"sensors.sonar.timing.rate": rate} | ({"mission.limit": limit_s} if limit_s else {})
     for row in rows:
         changes |= {f"world.rows.{row}.count": 5 * density, f"world.rows.{row}.step": (22.0 / density, 0.0)}
-    heard = hear("depth_of_features", 1000, changes)
+    heard = hear("depth_of_features", seed, changes)
     gc.collect()
     gc.freeze()  # going through a whole mission in memory for garbage is no part of the tracker's work
     (plain,) = timed(heard)
     times = Times()
     with beside(times):
         list(timed(heard))
+    gc.unfreeze()
     scans = [r for r in chain(*(_records(s) for s in heard.steps)) if isinstance(r, SonarDetections)]
-    echoes = sum(len(s.detections) for s in scans) / len({s.stamp_ns for s in scans})
-    title = f"Tracker at {rate:.0f} Hz, {echoes:.1f} echoes a ping [ms of CPU time]"
+    return Mission(plain, times, sum(len(s.detections) for s in scans) / len({s.stamp_ns for s in scans}))
+
+
+def speed(rate: float, density: int, limit_s: float = 0.0) -> Table:
+    """Times of the mission of seed 1000: a row for each kind of work."""
+    mission = fly(rate, density, 1000, limit_s)
+    title = f"Tracker at {rate:.0f} Hz, {mission.echoes:.1f} echoes a ping [ms of CPU time]"
+    made = _table(title, "", "n", "median", "95 %", "worst")
+    for name, of in ROWS.items():
+        seconds = of(mission.plain, mission.beside)
+        made.add_row(name, str(len(seconds)), *(f"{1e3 * np.quantile(seconds, q):.1f}" for q in (0.5, 0.95, 1.0)))
+    made.add_row("fixed lag: failures", str(mission.beside.failures))
+    return made
+
+
+def speed_over(rate: float, density: int, seeds: range, limit_s: float) -> Table:
+    """The same over seeds: of each seed's median, 95 % and worst the median, and the range of nine seeds in ten."""
+    missions = [fly(rate, density, seed, limit_s) for seed in progress(seeds, f"{rate:.0f} Hz", console=errors)]
+    echoes = np.mean([m.echoes for m in missions])
+    title = f"Tracker at {rate:.0f} Hz, {echoes:.1f} echoes a ping, {len(seeds)} seeds [ms of CPU time]"
+    made = _table(title, "", "median", "5 to 95 % of seeds", "95 %", "5 to 95 % of seeds", "worst", "worst of all")
+    for name, of in ROWS.items():
+        seconds = [of(m.plain, m.beside) for m in missions]
+        middle, high, worst = (np.array([1e3 * np.quantile(s, q) for s in seconds if s]) for q in (0.5, 0.95, 1.0))
+        cells = (_spread(middle), _spread(high), (f"{np.median(worst):.1f}", f"{worst.max():.1f}"))
+        made.add_row(name, *chain(*cells))
+    made.add_row("fixed lag: failures", str(sum(m.beside.failures for m in missions)))
+    return made
+
+
+def _spread(values: Array) -> tuple[str, str]:
+    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95])
+    return f"{middle:.1f}", f"{low:.1f} to {high:.1f}"
+
+
+def _table(title: str, *columns: str) -> Table:
     made = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
-    for column in ("", "n", "median", "95 %", "worst"):
+    for column in columns:
         made.add_column(column, justify="right" if column else "left")
-    quantiles("a ping, all of it", plain.ping, made)
-    quantiles("a ping with a cut", plain.cut, made)
-    quantiles("smoother: our window", times.smoother, made)
-    quantiles(f"smoother: fixed lag of {LAG_S:.0f} s ({times.failures} failures)", times.peer, made)
     return made
 
 
@@ -227,9 +272,7 @@ def resident() -> float:
 def hour_table(rounds: list[Round]) -> Table:
     """One row for the rounds of each half hour."""
     title = "Pings and memory over hours without a restart [ms of CPU time, MB]"
-    made = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
-    for column in ("hours", "rounds", "median", "95 %", "worst", "memory"):
-        made.add_column(column, justify="right")
+    made = _table(title, "hours", "rounds", "median", "95 %", "worst", "memory")
     for half in sorted({int(2.0 * r.hours) for r in rounds}):
         some = [r for r in rounds if int(2.0 * r.hours) == half]
         low, high, worst = np.array([r.ping for r in some]).T
@@ -263,13 +306,19 @@ def main() -> int:
     """Print the tables, or the hours."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=0.0, help="run so long without a restart instead")
+    parser.add_argument("--seeds", help="first:last, the last one excluded: the spread over seeds instead")
+    parser.add_argument("--limit", type=float, default=0.0, help="only so many seconds of each mission")
     parser.add_argument("--figure", type=Path, help="PNG of the hours")
     given = parser.parse_args()
     loop = calibration()
     if given.hours:
         flat(given.hours, given.figure)
+    elif given.seeds:
+        seeds = range(*(int(n) for n in given.seeds.split(":")))
+        for rate, density in ((2.0, 1), (4.0, 2)):
+            console.print(speed_over(rate, density, seeds, given.limit), "")
     else:
-        console.print(speed(2.0, 1), "", speed(4.0, 2), "")
+        console.print(speed(2.0, 1, given.limit), "", speed(4.0, 2, given.limit), "")
     console.print(f"[dim]a fixed Python loop took {loop * 1e3:.0f} ms before and {calibration() * 1e3:.0f} ms after")
     return 0
 

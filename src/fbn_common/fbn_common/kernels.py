@@ -29,6 +29,15 @@ def kernel(function: F) -> F:
     return cast(F, njit(cache=True)(function))
 
 
+def inner_kernel(function: F) -> F:
+    """As :func:`kernel`, for a function that makes no arrays: it borrows those it is given and counts no references.
+
+    Counting them costs more than the work of a function that is called many times a step.
+    """
+    config.CACHE_DIR = str(cache_directory(function.__module__.partition(".")[0]))  # type: ignore[attr-defined]
+    return cast(F, njit(cache=True, _nrt=False)(function))
+
+
 @cache
 def cache_directory(package: str) -> Path:
     """A directory for just these sources of ``package``, in ``NUMBA_CACHE_DIR`` or else ``~/.cache``; it is made."""
@@ -52,7 +61,7 @@ def sources(package: str) -> Iterator[Path]:
         spec = find_spec(name)
         for directory in (spec and spec.submodule_search_locations) or ():
             for path in sorted(Path(directory).rglob("*.py")):
-                if path.name == "layout.py" or b"@kernel" in path.read_bytes():
+                if path.name == "layout.py" or b"kernel\n" in path.read_bytes():
                     yield path
 
 

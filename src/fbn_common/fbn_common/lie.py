@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fbn_common.kernels import kernel
+from fbn_common.kernels import inner_kernel, kernel
 from fbn_common.types import Mat3, Quaternion, Vec3
 
 _SMALL = 1e-8  # rad: below it the series' next term is under the double's resolution
@@ -29,22 +29,41 @@ def skew(v: Vec3) -> Mat3:
 def product(a: Mat3, b: Mat3) -> Mat3:
     """``a b``, summed in a fixed order: in a kernel quicker than BLAS, and the same to the last bit everywhere."""
     c = np.empty((3, 3))
+    product_into(a, b, c)
+    return c
+
+
+@inner_kernel
+def product_into(a: Mat3, b: Mat3, c: Mat3) -> None:
+    """``a b`` written into ``c``, which is neither of them."""
     for i in range(3):
         for j in range(3):
             c[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-    return c
+
+
+@inner_kernel
+def cross_into(a: Vec3, b: Vec3, c: Vec3) -> None:
+    """``a x b`` written into ``c``, which is neither of them."""
+    c[0], c[1], c[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
 def so3_exp(theta: Vec3) -> Mat3:
     """Rotation matrix of a rotation vector [rad] (Rodrigues)."""
+    m = np.empty((3, 3))
+    so3_exp_into(theta, m)
+    return m
+
+
+@inner_kernel
+def so3_exp_into(theta: Vec3, m: Mat3) -> None:
+    """:func:`so3_exp` written into ``m``: an inner loop has no time to make arrays."""
     a2 = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
     a = np.sqrt(a2)
     if a < 1e-4:  # series: next terms are a**4 / 120 and a**4 / 720
         s, c = 1.0 - a2 / 6.0, 0.5 - a2 / 24.0
     else:
         s, c = np.sin(a) / a, (1.0 - np.cos(a)) / a2
-    m = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             m[i, j] = c * theta[i] * theta[j]
@@ -55,70 +74,92 @@ def so3_exp(theta: Vec3) -> Mat3:
     m[1, 2] -= s * theta[0]
     m[2, 0] -= s * theta[1]
     m[2, 1] += s * theta[0]
-    return m
 
 
 @kernel
 def quaternion_from_matrix(rotation: Mat3) -> Quaternion:
     """Unit quaternion (x, y, z, w; w >= 0) of a rotation matrix, by its largest component."""
-    r = rotation
     q = np.empty(4)
+    quaternion_into(rotation, q)
+    return q
+
+
+@inner_kernel
+def quaternion_into(rotation: Mat3, q: Quaternion) -> None:
+    """:func:`quaternion_from_matrix` written into ``q``."""
+    q[0], q[1], q[2], q[3] = _quaternion(rotation)
+
+
+@inner_kernel
+def _quaternion(r: Mat3) -> tuple[float, float, float, float]:
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     if trace > r[0, 0] and trace > r[1, 1] and trace > r[2, 2]:
-        s = 2.0 * np.sqrt(1.0 + trace)
-        q[3] = 0.25 * s
-        q[0] = (r[2, 1] - r[1, 2]) / s
-        q[1] = (r[0, 2] - r[2, 0]) / s
-        q[2] = (r[1, 0] - r[0, 1]) / s
+        x, y, z, w = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1.0 + trace
+    elif r[0, 0] >= r[1, 1] and r[0, 0] >= r[2, 2]:
+        x, y, z, w = 1.0 + 2.0 * r[0, 0] - trace, r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]
+    elif r[1, 1] >= r[2, 2]:
+        x, y, z, w = r[1, 0] + r[0, 1], 1.0 + 2.0 * r[1, 1] - trace, r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]
     else:
-        i = 0
-        if r[1, 1] > r[0, 0]:
-            i = 1
-        if r[2, 2] > r[i, i]:
-            i = 2
-        j, k = (i + 1) % 3, (i + 2) % 3
-        s = 2.0 * np.sqrt(1.0 + r[i, i] - r[j, j] - r[k, k])
-        q[i] = 0.25 * s
-        q[3] = (r[k, j] - r[j, k]) / s
-        q[j] = (r[j, i] + r[i, j]) / s
-        q[k] = (r[k, i] + r[i, k]) / s
-    if q[3] < 0.0:
-        q = -q
-    return q / np.sqrt((q * q).sum())
+        x, y, z, w = r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], 1.0 + 2.0 * r[2, 2] - trace, r[1, 0] - r[0, 1]
+    scale = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
+    if w < 0.0:
+        scale = -scale
+    return scale * x, scale * y, scale * z, scale * w
 
 
 @kernel
 def matrix_from_quaternion(quaternion: Quaternion) -> Mat3:
     """Rotation matrix of a quaternion x, y, z, w (normalised here; its norm must not be zero)."""
-    q = quaternion / np.sqrt((quaternion * quaternion).sum())
-    x, y, z, w = q[0], q[1], q[2], q[3]
     m = np.empty((3, 3))
+    matrix_from_quaternion_into(quaternion, m)
+    return m
+
+
+@inner_kernel
+def matrix_from_quaternion_into(q: Quaternion, m: Mat3) -> None:
+    """:func:`matrix_from_quaternion` written into ``m``."""
+    length = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    x, y, z, w = q[0] / length, q[1] / length, q[2] / length, q[3] / length
     m[0, 0], m[0, 1], m[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
     m[1, 0], m[1, 1], m[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
     m[2, 0], m[2, 1], m[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
-    return m
 
 
 @kernel
 def so3_log(rotation: Mat3) -> Vec3:
     """Rotation vector [rad], of length at most pi, of a rotation matrix (through the quaternion: stable at pi)."""
-    q = quaternion_from_matrix(rotation)
-    n = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2)
-    if n < _SMALL:
-        return 2.0 * q[:3]
-    return (2.0 * np.arctan2(n, q[3]) / n) * q[:3]
+    out = np.empty(3)
+    so3_log_into(rotation, out)
+    return out
+
+
+@inner_kernel
+def so3_log_into(rotation: Mat3, out: Vec3) -> None:
+    """:func:`so3_log` written into ``out``."""
+    x, y, z, w = _quaternion(rotation)
+    n = np.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if n < _SMALL else 2.0 * np.arctan2(n, w) / n
+    out[0], out[1], out[2] = scale * x, scale * y, scale * z
 
 
 @kernel
 def so3_right_jacobian(theta: Vec3) -> Mat3:
     """``Jr`` with ``Exp(theta + d) = Exp(theta) Exp(Jr d)`` to first order."""
+    out = np.empty((3, 3))
+    so3_right_jacobian_into(theta, out)
+    return out
+
+
+@inner_kernel
+def so3_right_jacobian_into(theta: Vec3, out: Mat3) -> None:
+    """:func:`so3_right_jacobian` written into ``out``."""
     a2 = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
     if a2 < 1e-8:
         b, c = 0.5 - a2 / 24.0, 1.0 / 6.0 - a2 / 120.0
     else:
         a = np.sqrt(a2)
         b, c = (1.0 - np.cos(a)) / a2, (a - np.sin(a)) / (a2 * a)
-    return _of_skew(theta, -b, c)
+    _of_skew(theta, -b, c, out)
 
 
 @kernel
@@ -130,19 +171,19 @@ def so3_right_jacobian_inverse(theta: Vec3) -> Mat3:
     else:
         a = np.sqrt(a2)
         c = 1.0 / a2 - (1.0 + np.cos(a)) / (2.0 * a * np.sin(a))
-    return _of_skew(theta, 0.5, c)
-
-
-@kernel
-def _of_skew(theta: Vec3, b: float, c: float) -> Mat3:
-    """``I + b [theta]x + c [theta]x^2``."""
-    k = skew(theta)
-    out = product(k, k)
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = b * k[i, j] + c * out[i, j]
-        out[i, i] += 1.0
+    out = np.empty((3, 3))
+    _of_skew(theta, 0.5, c, out)
     return out
+
+
+@inner_kernel
+def _of_skew(theta: Vec3, b: float, c: float, out: Mat3) -> None:
+    """``out = I + b [theta]x + c [theta]x^2``, the square being ``theta theta' - |theta|^2 I``."""
+    x, y, z = theta[0], theta[1], theta[2]
+    out[0, 0], out[1, 1], out[2, 2] = 1.0 - c * (y * y + z * z), 1.0 - c * (x * x + z * z), 1.0 - c * (x * x + y * y)
+    out[0, 1], out[1, 0] = c * x * y - b * z, c * x * y + b * z
+    out[0, 2], out[2, 0] = c * x * z + b * y, c * x * z - b * y
+    out[1, 2], out[2, 1] = c * y * z - b * x, c * y * z + b * x
 
 
 @kernel

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fbn_common.lie import matrix_from_rpy, quaternion_from_matrix
+from fbn_common.motion_ekf.covariance import new_covariance_scratch, push
 from fbn_common.motion_ekf.layout import (
     GRID_NS,
     ROTATION,
@@ -22,7 +23,6 @@ from fbn_common.motion_ekf.layout import (
 )
 from fbn_common.motion_ekf.monitor import all_finite
 from fbn_common.motion_ekf.output import odometry
-from fbn_common.motion_ekf.propagate import _push
 from fbn_common.motion_ekf.timeline import MotionLog
 from fbn_common.motion_ekf.warm_up import standstill
 from fbn_common.records import PredictedMotion
@@ -115,14 +115,14 @@ def test_the_pushed_covariance_is_that_of_the_whole_transition_matrix(near: bool
     n = SIZE_REFERENCE
     root, top, columns = RNG.standard_normal((n, n)), 0.1 * RNG.standard_normal((12, 24)), RNG.standard_normal((12, 3))
     before = root @ root.T
-    whole, after, flat = np.eye(n), before.copy(), np.zeros((12, 3))
-    _push(after, np.zeros((12, 24)), True, columns)  # with nothing else moving, this shows where the columns belong
+    whole, after, flat, room = np.eye(n), before.copy(), np.zeros((12, 3)), new_covariance_scratch(n)
+    push(after, np.zeros((12, 24)), True, columns, room)  # with nothing else moving, this shows where the columns belong
     surface = _columns_of(before, after, columns)
     whole[:12, ROTATION : ROTATION + 24] += top
     if near:
         whole[:12, surface] += columns
     after = before.copy()
-    _push(after, top, near, columns if near else flat)
+    push(after, top, near, columns if near else flat, room)
     # products of sums of 40 terms of order 40: 1e-16 of each
     np.testing.assert_allclose(after, whole @ before @ whole.T, rtol=1e-11, atol=1e-11)
     np.testing.assert_array_equal(after, after.T)

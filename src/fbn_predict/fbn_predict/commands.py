@@ -13,6 +13,7 @@ from fbn_common.types import Array
 
 IntArray = npt.NDArray[np.int64]
 ACTUATORS = ("propeller", "pan", "tilt", "rudder", "stern_plane")
+_NEVER = -(1 << 60)  # ns
 _LARGEST = (2000.0, pi, pi, pi, pi)  # rad/s, rad: beyond is no actuator's
 
 
@@ -98,10 +99,15 @@ class Commands:
             at += 1
         return (total + held * (end_ns - t)) / (end_ns - start_ns)
 
+    def in_force_ns(self, stamp_ns: int) -> int:
+        """Stamp of the command in force at this one; ages ago without one."""
+        at = bisect_right(self._stamps, stamp_ns)
+        return self._stamps[at - 1] if at else _NEVER
+
     def ages(self, start_ns: int, step_ns: int, count: int) -> IntArray:
         """At the start of each of these steps, how old [ns] (count,) the command in force is; ages without one."""
         stamps = start_ns + step_ns * np.arange(count)
-        known = np.array([-(1 << 60), *self._stamps])
+        known = np.array([_NEVER, *self._stamps])
         return np.asarray(stamps - known[np.searchsorted(known, stamps, side="right") - 1])
 
     def forget(self, before_ns: int) -> None:

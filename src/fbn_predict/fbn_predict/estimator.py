@@ -31,6 +31,7 @@ class Predict:
     def __init__(self, parameters: PredictParameters) -> None:
         self.parameters = parameters
         self.model = model_of(parameters.dynamics)
+        self._history_ns = nanoseconds(parameters.history)
         self.slots = nanoseconds(parameters.history + parameters.max_gap) // GRID_NS + 200
         n = parameters.noise
         self._levels = Levels(
@@ -108,7 +109,7 @@ class Predict:
         except Malformed as error:
             return untouched, [self._say(record.stamp_ns, "actuators", str(error))]
         late = self._head_ns - record.stamp_ns
-        if self._head_ns >= 0 and late > nanoseconds(self.parameters.history):
+        if self._head_ns >= 0 and late > self._history_ns:
             self._counts["actuators.late"] += 1
             why = f"older than the history: {seconds(late):.3g} s"
             return untouched, [Output(INNOVATIONS, refusal(record.stamp_ns, _FRAME, "actuators", Verdict.LATE, why))]
@@ -122,7 +123,7 @@ class Predict:
 
     def _take_feedback(self, record: Odometry) -> tuple[int, list[Output]]:
         """Dead reckoning's velocity and attitude at a stamp of the grid: our own history is re-run from there."""
-        known = 0 <= self._head_ns - record.stamp_ns <= nanoseconds(self.parameters.history)
+        known = 0 <= self._head_ns - record.stamp_ns <= self._history_ns
         if (
             not all_finite(record.twist, record.pose.orientation, record.pose.position)
             or not record.pose.orientation.any()
@@ -181,7 +182,7 @@ class Predict:
         self._ring.feedback[slots[1:]] = False  # the ring's last round
         self._head_ns = end
         motions = self._roll(start, end, wanted=True)
-        self._commands.forget(end - nanoseconds(self.parameters.history) - GRID_NS)
+        self._commands.forget(end - self._history_ns - GRID_NS)
         return motions
 
     def _roll(self, start_ns: int, end_ns: int, wanted: bool) -> list[Output]:
@@ -192,9 +193,10 @@ class Predict:
         roll(self._ring, self._slot(start_ns), actuators, _DT, self.model, self._levels, wanted, made)
         if not wanted:
             return []
-        ages = self._commands.ages(start_ns, GRID_NS, n)
-        for k in np.flatnonzero(ages / NS > self.parameters.actuator_timeout):
-            made.noise[k] += self._silence(made.parameters[k])
+        if seconds(end_ns - self._commands.in_force_ns(start_ns)) > self.parameters.actuator_timeout:
+            ages = self._commands.ages(start_ns, GRID_NS, n)
+            for k in np.flatnonzero(ages / NS > self.parameters.actuator_timeout):
+                made.noise[k] += self._silence(made.parameters[k])
         ends = range(start_ns + GRID_NS, end_ns + GRID_NS, GRID_NS)
         return [
             Output(MOTION, PredictedMotion(end, end - GRID_NS, *parts)) for end, *parts in zip(ends, *made, strict=True)

@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fbn_common.kernels import kernel
-from fbn_common.lie import product, quaternion_from_matrix, so3_exp
+from fbn_common.kernels import inner_kernel, kernel
+from fbn_common.lie import product_into, quaternion_into, so3_exp_into
 from fbn_common.types import Array, Mat3, Vec3, Vec6
-from fbn_predict.dynamics import COLUMNS, Model, step
+from fbn_predict.dynamics import Model
+from fbn_predict.sensitivity import COLUMNS, Scratch, new_scratch, step
 
 _UNKNOWN_DEPTH = 1.0  # m, until dead reckoning says: neither at the surface nor out of the waves
 
@@ -70,10 +71,12 @@ def new_ring(n: int) -> Ring:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def noise_of_step(linear: Vec3, angular: Vec3, dt: float, q: Array) -> None:
     """Covariance (12, 12) of a step's white accelerations (power spectral densities, body axes)."""
-    q[:] = 0.0
+    for i in range(12):
+        for j in range(12):
+            q[i, j] = 0.0
     for i in range(6):
         density = linear[i] if i < 3 else angular[i - 3]
         q[i, i] = density * dt**3 / 3.0
@@ -81,24 +84,28 @@ def noise_of_step(linear: Vec3, angular: Vec3, dt: float, q: Array) -> None:
         q[6 + i, 6 + i] = density * dt
 
 
-@kernel
-def _noise(p: Array, depth: float, levels: Levels, dt: float, q: Array) -> None:
+@inner_kernel
+def _noise(p: Array, depth: float, levels: Levels, dt: float, densities: Array, q: Array) -> None:
     """A step's noise: a standing error s of velocity is kept up by white acceleration of density ``2 D s^2``."""
     fade = np.exp(-max(depth, 0.0) / levels.surge_depth)
     surge = levels.surge * fade
-    linear, angular = np.empty(3), np.empty(3)
+    linear, angular = densities[0], densities[1]
     for i in range(3):
         linear[i] = 2.0 * p[3 + i] * levels.velocity[i] ** 2 + 2.0 * levels.surge_time * (p[3 + i] * surge) ** 2
         angular[i] = 2.0 * p[6 + i] * (levels.turn_rate[i] ** 2 + (fade * levels.wave_turn[i]) ** 2)
     noise_of_step(linear, angular, dt, q)
 
 
-@kernel
+@inner_kernel
 def _keep(made: Steps, i: int, velocity: Vec6, attitude: Mat3, p: Array, y: Array, s: Array) -> None:
     """Write down step ``i``: its start, its end ``y`` and the sensitivities ``s`` (12, 24)."""
-    made.increment[i], made.rotation[i] = y[0:3], y[3:6]
-    made.velocity_start[i], made.velocity_end[i] = velocity, y[6:12]
-    made.parameters[i], made.attitude_start[i] = p, quaternion_from_matrix(attitude)
+    for j in range(3):
+        made.increment[i, j], made.rotation[i, j] = y[j], y[3 + j]
+    for j in range(6):
+        made.velocity_start[i, j], made.velocity_end[i, j] = velocity[j], y[6 + j]
+    for j in range(15):
+        made.parameters[i, j] = p[j]
+    quaternion_into(attitude, made.attitude_start[i])
     for row in range(12):
         for j in range(6):
             made.jacobian_velocity[i, row, j] = s[row, j]
@@ -106,6 +113,27 @@ def _keep(made: Steps, i: int, velocity: Vec6, attitude: Mat3, p: Array, y: Arra
             made.jacobian_attitude[i, row, j] = s[row, 6 + j]
         for j in range(15):
             made.jacobian_parameters[i, row, j] = s[row, 9 + j]
+
+
+@inner_kernel
+def _take_feedback(ring: Ring, k: int) -> None:
+    """Go on from what dead reckoning says of this stamp."""
+    for i in range(6):
+        ring.velocity[k, i] = ring.velocity_fed[k, i]
+    for i in range(3):
+        for j in range(3):
+            ring.attitude[k, i, j] = ring.attitude_fed[k, i, j]
+    ring.depth[k] = ring.depth_fed[k]
+
+
+@inner_kernel
+def _end_of_step(ring: Ring, k: int, n: int, y: Array, turn: Mat3) -> None:
+    """The state in slot ``n``, after the step ``y`` from that in slot ``k``."""
+    so3_exp_into(y[3:6], turn)
+    product_into(ring.attitude[k], turn, ring.attitude[n])
+    for i in range(6):
+        ring.velocity[n, i] = y[6 + i]
+    ring.depth[n] = ring.depth[k]
 
 
 @kernel
@@ -116,20 +144,34 @@ def roll(
 
     Where wanted, row i of ``made`` is filled for step i.
     """
+    y, s, turn, densities = np.empty(12), np.empty((12, COLUMNS)), np.empty((3, 3)), np.empty((2, 3))
+    _roll(ring, first, actuators, dt, model, levels, wanted, made, y, s, turn, densities, new_scratch())
+
+
+@inner_kernel
+def _roll(
+    ring: Ring,
+    first: int,
+    actuators: Array,
+    dt: float,
+    model: Model,
+    levels: Levels,
+    wanted: bool,
+    made: Steps,
+    y: Array,
+    s: Array,
+    turn: Mat3,
+    densities: Array,
+    scratch: Scratch,
+) -> None:
     size = ring.depth.shape[0]
-    y, s = np.empty(12), np.empty((12, COLUMNS))
     for i in range(actuators.shape[0]):
         k, n = (first + i) % size, (first + i + 1) % size
         if ring.feedback[k]:
-            ring.velocity[k], ring.attitude[k], ring.depth[k] = (
-                ring.velocity_fed[k],
-                ring.attitude_fed[k],
-                ring.depth_fed[k],
-            )
+            _take_feedback(ring, k)
         p, depth = ring.parameters[k], ring.depth[k]
-        step(ring.velocity[k], ring.attitude[k], p, actuators[i], depth, dt, model, y, s, wanted)
+        step(ring.velocity[k], ring.attitude[k], p, actuators[i], depth, dt, model, y, s, wanted, scratch)
         if wanted:
             _keep(made, i, ring.velocity[k], ring.attitude[k], p, y, s)
-            _noise(p, depth, levels, dt, made.noise[i])
-        ring.attitude[n] = product(ring.attitude[k], so3_exp(y[3:6]))
-        ring.velocity[n], ring.depth[n] = y[6:12], depth
+            _noise(p, depth, levels, dt, densities, made.noise[i])
+        _end_of_step(ring, k, n, y, turn)

@@ -16,8 +16,9 @@ from fbn_common.motion_ekf.layout import GRID_NS
 from fbn_common.motion_ekf.parameters import AltimeterParameters, CompassParameters, DepthParameters
 from fbn_common.records import FluidPressure, Imu, JointState, NavSatFix, Range, Record, SonarDetections
 from fbn_common.types import Array
-from fbn_predict.dynamics import COLUMNS, model_of, step
+from fbn_predict.dynamics import model_of
 from fbn_predict.parameters import PredictParameters, prior
+from fbn_predict.sensitivity import COLUMNS, new_scratch, step
 
 DATUM = GeodeticPoint(42.0, -71.0, 0.0)
 START_NS = 1_000_000_000_000
@@ -59,13 +60,13 @@ def sail(
     position, rotation, velocity = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.zeros((n + 1, 6))
     position[0], rotation[0] = (0.0, 0.0, -depth), matrix_from_rpy(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]))
     commands = np.empty((n, 5))
-    y, s = np.empty(12), np.empty((12, COLUMNS))
+    y, s, scratch = np.empty(12), np.empty((12, COLUMNS)), new_scratch()
     for i in range(n):
         held = i > 0 and i % 10 != 7  # the filters are told at 10 Hz
         commands[i] = (
             commands[i - 1] if held else _command(i * _DT, turn_s, depth, position[i], rotation[i], velocity[i])
         )
-        step(velocity[i], rotation[i], p, commands[i], -position[i, 2], _DT, model, y, s, False)
+        step(velocity[i], rotation[i], p, commands[i], -position[i, 2], _DT, model, y, s, False, scratch)
         position[i + 1] = position[i] + rotation[i] @ y[0:3]
         rotation[i + 1] = rotation[i] @ so3_exp(y[3:6])
         kick = np.sqrt(2.0 * p[3:9] * _DT) * sigma * rng.standard_normal(6)

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from fbn_common.lie import matrix_from_rpy, so3_exp
 from fbn_common.types import Array
-from fbn_predict.dynamics import COLUMNS, model_of, step
+from fbn_predict.dynamics import model_of
 from fbn_predict.parameters import Doubt, Dynamics, prior
+from fbn_predict.sensitivity import COLUMNS, new_scratch, step
 
 RANGER = Dynamics()
 FINNED = Dynamics(fin_torque=1.0, fin_lift=1.0, angular_actuation=(-0.5, 1.7, 1.7), quadratic_damping=(0.2, 0.5, 0.5))
@@ -24,7 +25,7 @@ def stepped(
     d: Dynamics, velocity: Array, rotation: Array, p: Array, actuators: Array, depth: float = 3.0
 ) -> tuple[Array, Array]:
     y, s = np.empty(12), np.empty((12, COLUMNS))
-    step(velocity, np.ascontiguousarray(rotation), p, actuators, depth, DT, model_of(d), y, s, True)
+    step(velocity, np.ascontiguousarray(rotation), p, actuators, depth, DT, model_of(d), y, s, True, new_scratch())
     return y, s
 
 

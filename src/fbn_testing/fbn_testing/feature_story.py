@@ -12,6 +12,7 @@ from fbn_common.types import Array, Vec3
 from fbn_sim.simulation import Simulation
 from fbn_testing.feature_runs import Heard, tracker_of
 from fbn_tracking.geometry import anchored_point, world_point
+from fbn_tracking.modes import Surroundings
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.publish import sided
 from fbn_tracking.track import Track, array_pose
@@ -84,8 +85,9 @@ def _moment(window: Window, track: Track, feature: FeatureParameters, simulation
 
 def _smoothed(window: Window, track: Track, feature: FeatureParameters) -> Vec3:
     """Where the tracker shows it."""
+    around = Surroundings(window.estimate.poses(), window.pings, np.zeros((2, 2)), feature)
     mount = track.detections[0].look.mount
-    return np.asarray(anchored_point(window.T(track.anchor), mount, sided(window, track, feature))[0])
+    return np.asarray(anchored_point(window.T(track.anchor), mount, sided(window, track, around))[0])
 
 
 def _nearest_truth(window: Window, point: Vec3, simulation: Simulation) -> Vec3:

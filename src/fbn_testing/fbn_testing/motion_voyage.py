@@ -122,16 +122,16 @@ def judge(simulation: Simulation, kept: Kept) -> Judged:
         "drift_percent": gone.percent,
         "reference_percent": 100.0 * float(absolute.horizontal[at_end]) / gone.distance,
         "yaw_deg": float(np.degrees(np.sqrt(np.mean(own.rotation[within, 2] ** 2)))),
-        "nees_ten_minutes": _nees(own, within[_after(own, within, 600.0)], slice(0, 2)),
-        "nees_drift_xy": _nees(own, within[-1:], slice(0, 2)),
-        "nees_reference_xy": _nees(absolute, np.array([at_end]), slice(0, 2)),
-        "nees_z": _nees(own, within[::60], slice(2, 3)),
-        "nees_tilt": _nees(own, within[::60], slice(3, 5)),
-        "nees_yaw": _nees(own, within[::60], slice(5, 6)),
+        "nees_ten_minutes": nees_of(own, within[_after(own, within, 600.0)], slice(0, 2)),
+        "nees_drift_xy": nees_of(own, within[-1:], slice(0, 2)),
+        "nees_reference_xy": nees_of(absolute, np.array([at_end]), slice(0, 2)),
+        "nees_z": nees_of(own, within[::60], slice(2, 3)),
+        "nees_tilt": nees_of(own, within[::60], slice(3, 5)),
+        "nees_yaw": nees_of(own, within[::60], slice(5, 6)),
     }
     values |= _water(simulation, kept, leg)
     sigma = np.sqrt(np.linalg.eigvalsh(own.track.covariance[within][:, :2, :2])[:, -1])
-    return Judged(values, _nis(simulation, kept), distance, np.asarray(np.linalg.norm(grown, axis=1)), sigma)
+    return Judged(values, nis_by_sensor(simulation, kept), distance, np.asarray(np.linalg.norm(grown, axis=1)), sigma)
 
 
 def _rows(errors: ErrorSeries, leg: Dive) -> Stamps:
@@ -146,7 +146,7 @@ def _after(errors: ErrorSeries, rows: Stamps, seconds: float) -> slice:
     return slice(last, last + 1)
 
 
-def _nees(errors: ErrorSeries, rows: Stamps, part: slice) -> float:
+def nees_of(errors: ErrorSeries, rows: Stamps, part: slice) -> float:
     """Mean NEES over its degrees of freedom of some rows of an error series."""
     all_errors = np.concatenate([errors.position, errors.rotation], axis=1)[rows][:, part]
     covariance = errors.track.covariance[rows][:, part, part]
@@ -166,7 +166,7 @@ def _water(simulation: Simulation, kept: Kept, leg: Dive) -> dict[str, float]:
     }
 
 
-def _nis(simulation: Simulation, kept: Kept) -> dict[str, tuple[float, int]]:
+def nis_by_sensor(simulation: Simulation, kept: Kept) -> dict[str, tuple[float, int]]:
     """NIS of dead reckoning's sensors and of the reference filter's fixes, the compass's by depth."""
     found = dict.fromkeys(NIS_GROUPS, (0.0, 0))
     motion, start = simulation.truth.motion, simulation.truth.start_ns
@@ -185,4 +185,15 @@ def _nis(simulation: Simulation, kept: Kept) -> dict[str, tuple[float, int]]:
     return found
 
 
-__all__ = ["Judged", "Kept", "Track", "front_half", "in_map", "judge", "navigate", "transit"]
+__all__ = [
+    "Judged",
+    "Kept",
+    "Track",
+    "front_half",
+    "in_map",
+    "judge",
+    "navigate",
+    "nees_of",
+    "nis_by_sensor",
+    "transit",
+]

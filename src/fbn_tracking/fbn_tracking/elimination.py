@@ -32,36 +32,70 @@ _POOL = 96  # rows of the border gathered before they are reduced
 def reduce_columns(A: Array, y: Array, top: int, rows: int, first: int, count: int, width: int) -> None:
     """Householder reflections that leave ``count`` columns from ``first`` on upper triangular, pivots from row ``top``.
 
-    In place on ``A`` (rows, width) and the right side ``y``.  Rows without a share in a column are passed over.
+    In place on ``A`` (rows, width) and the right side ``y``.  Rows without a share in a column are passed over.  The
+    products of a column with all that follow are gathered while the reflection before it passes over the rows.
     """
-    w = np.empty(width)
+    sums, ahead, right, known = np.zeros(width), np.zeros(width), 0.0, False
     for i in range(count):
         p, c = top + i, first + i
         if p >= rows:
             return
-        square = 0.0
-        for r in range(p, rows):
-            square += A[r, c] * A[r, c]
-        if square == 0.0:
+        if not known:
+            right = _products(A, y, p, rows, c, sums[c:width])
+        known = sums[c] != 0.0  # true for NaN too, which has to come out
+        if not known:
             continue
-        length = np.sqrt(square)
+        length = np.sqrt(sums[c])
         alpha = -length if A[p, c] > 0.0 else length
-        A[p, c] -= alpha
-        beta = -1.0 / (alpha * A[p, c])
-        right, sums = 0.0, w[c + 1 : width]
-        sums[:] = 0.0
-        for r in range(p, rows):
-            v = A[r, c]
-            if v != 0.0:
-                right += v * y[r]
-                _add(sums, v, A[r, c + 1 : width])
-        for r in range(p, rows):
-            v = beta * A[r, c]
-            if v != 0.0:
-                y[r] -= v * right
-                _add(A[r, c + 1 : width], -v, sums)
-                A[r, c] = 0.0
+        right -= alpha * y[p]  # of the reflection's own vector: the column with its pivot less alpha
+        _add(sums[c:width], -alpha, A[p, c:width])
+        beta = -1.0 / (alpha * (A[p, c] - alpha))
+        v = beta * (A[p, c] - alpha)
+        y[p] -= v * right
+        _add(A[p, c + 1 : width], -v, sums[c + 1 : width])
         A[p, c] = alpha
+        right = _reflect(A, y, p + 1, rows, c, beta, right, sums[c + 1 : width], ahead[c + 1 : width])
+        sums, ahead = ahead, sums
+
+
+@kernel
+def _products(A: Array, y: Array, begin: int, rows: int, c: int, sums: Array) -> float:
+    """Column ``c``, from row ``begin`` on, times itself and the columns after it (``sums``), and times ``y``."""
+    right = 0.0
+    sums[:] = 0.0
+    for r in range(begin, rows):
+        if A[r, c] != 0.0:
+            right += A[r, c] * y[r]
+            _add(sums, A[r, c], A[r, c : c + sums.shape[0]])
+    return right
+
+
+@kernel
+def _reflect(
+    A: Array, y: Array, begin: int, rows: int, c: int, beta: float, right: float, sums: Array, ahead: Array
+) -> float:
+    """Reflect the rows from ``begin`` on; gives the next column's products as :func:`_products` would."""
+    n, next_right = sums.shape[0], 0.0
+    ahead[:] = 0.0
+    for r in range(begin, rows):
+        v, row = beta * A[r, c], A[r, c + 1 : c + 1 + n]
+        if v != 0.0:
+            y[r] -= v * right
+            A[r, c] = 0.0
+        if n == 0:
+            continue
+        u = row[0] - v * sums[0]
+        if u != 0.0:
+            next_right += u * y[r]
+        if v != 0.0 and u != 0.0:
+            for j in range(n):
+                row[j] -= v * sums[j]
+                ahead[j] += u * row[j]
+        elif v != 0.0:
+            _add(row, -v, sums)
+        elif u != 0.0:
+            _add(ahead, u, row)
+    return next_right
 
 
 @kernel
@@ -72,41 +106,27 @@ def _add(to: Array, factor: float, row: Array) -> None:
 
 @kernel
 def eliminate(
-    base: Array, motion: Array, looks: Array, at: Whole, starts: Whole, weak: float, weights: Array,
+    base: Array, motion: Array, looks: Array, at: Whole, starts: Whole, weak: float,
     T: Array, drift: Vec3, q: Array, column: Whole, feature_column: Whole, top: Whole, width: int,
 ) -> tuple[Array, Array, Array, float]:  # fmt: skip
     """Border's triangle (width, width), its right side, the poses' rows (n, 6, 13 + width), half the sum of squares.
 
     ``at`` (d, 4): rows of pose, anchor and feature, and whether it is the anchor's own detection, sorted by pose;
-    ``starts`` (n + 1) of each pose's.  ``weights`` (m): information added along each feature's theta.  ``column`` (n)
-    of the poses in the border, -1 of the others; ``top`` (n): columns in use once a pose has come.
+    ``starts`` (n + 1) of each pose's.  ``column`` (n) of the poses in the border, -1 of the others; ``top`` (n):
+    columns in use once a pose has come.
     """
-    n = T.shape[0]
-    most = 0
-    for k in range(n):
-        most = max(most, starts[k + 1] - starts[k])
-    A, y = np.zeros((25 + 5 * most, 12 + width)), np.zeros(25 + 5 * most)
-    pool, rest = np.zeros((width + _POOL + 25 + 5 * most, width)), np.zeros(width + _POOL + 25 + 5 * most)
+    n, most = T.shape[0], _most_rows(starts)
+    A, y = np.zeros((most, 12 + width)), np.zeros(most)
+    pool, rest = np.zeros((width + _POOL + most, width)), np.zeros(width + _POOL + most)
     chain = np.zeros((n, 6, 13 + width))
     held, passed, energy = 0, 0, 0.0
     for k in range(n):
-        inner = column[k] < 0
+        inner, inner_next = column[k] < 0, k + 1 < n and column[k + 1] < 0
         own = 0 if inner else 12 + column[k]
-        rows = passed
-        if k == 0:
-            rows = _base_rows(A, y, rows, own, base, T[0], drift)
-        rows = _earth_rows(A, y, rows, own, motion[k], T[k])
-        for d in range(starts[k], starts[k + 1]):
-            f, anchor = at[d, 2], at[d, 1]
-            by_q = 12 + feature_column[f]
-            if at[d, 3]:
-                rows = _first_rows(A, y, rows, by_q, looks[d, 32:], q[f], weak, weights[f])
-            else:
-                rows = _look_rows(A, y, rows, own, 12 + column[anchor], by_q, looks[d], T[anchor], T[k], q[f])
-        inner_next = k + 1 < n and column[k + 1] < 0
-        if k + 1 < n:
-            after = 6 if inner_next else 12 + column[k + 1]
-            rows = _link_rows(A, y, rows, own, after, motion[k + 1], T[k], T[k + 1], drift)
+        after = 6 if inner_next or k + 1 == n else 12 + column[k + 1]
+        rows = _rows_of_pose(
+            A, y, passed, k, own, after, base, motion, looks, at, starts, weak, T, drift, q, column, feature_column
+        )
         for r in range(passed, rows):
             energy += 0.5 * y[r] * y[r]
         active, done = 12 + top[min(k + 1, n - 1)], 0
@@ -122,6 +142,40 @@ def eliminate(
         _pass_on(A, y, done, passed, rows, active)
     reduce_columns(pool, rest, 0, held, 0, width, width)
     return pool[:width].copy(), rest[:width].copy(), chain, energy
+
+
+@kernel
+def _most_rows(starts: Whole) -> int:
+    """An upper bound on the rows of one pose with those passed on to it."""
+    most = 0
+    for k in range(len(starts) - 1):
+        most = max(most, starts[k + 1] - starts[k])
+    return 25 + 4 * most
+
+
+@kernel
+def _rows_of_pose(
+    A: Array, y: Array, r: int, k: int, own: int, after: int,
+    base: Array, motion: Array, looks: Array, at: Whole, starts: Whole, weak: float,
+    T: Array, drift: Vec3, q: Array, column: Whole, feature_column: Whole,
+) -> int:  # fmt: skip
+    """Whitened rows of all that pose ``k`` measures and of the link to the next, from row ``r`` on; gives their end.
+
+    ``own``, ``after``: columns of this pose and the next.
+    """
+    if k == 0:
+        r = _base_rows(A, y, r, own, base, T[0], drift)
+    r = _earth_rows(A, y, r, own, motion[k], T[k])
+    for d in range(starts[k], starts[k + 1]):
+        f, anchor = at[d, 2], at[d, 1]
+        by_q = 12 + feature_column[f]
+        if at[d, 3]:
+            r = _first_rows(A, y, r, by_q, looks[d, 32:], q[f], weak)
+        else:
+            r = _look_rows(A, y, r, own, 12 + column[anchor], by_q, looks[d], T[anchor], T[k], q[f])
+    if k + 1 < len(T):
+        r = _link_rows(A, y, r, own, after, motion[k + 1], T[k], T[k + 1], drift)
+    return r
 
 
 @kernel
@@ -201,7 +255,7 @@ def _link_rows(
 
 
 @kernel
-def _first_rows(A: Array, y: Array, r: int, by_q: int, z: Array, q: Vec3, weak: float, weight: float) -> int:
+def _first_rows(A: Array, y: Array, r: int, by_q: int, z: Array, q: Vec3, weak: float) -> int:
     """The anchor's own detection, exact in the feature's coordinates, with a loose bound on theta."""
     for i in range(2):
         y[r + i] = (z[i] - q[i]) / z[2 + i]
@@ -210,8 +264,7 @@ def _first_rows(A: Array, y: Array, r: int, by_q: int, z: Array, q: Vec3, weak: 
     A[r + 2, by_q + 2] = z[4] + 3.0 * z[5] * q[2] ** 2
     y[r + 3] = -q[2] / weak
     A[r + 3, by_q + 2] = 1.0 / weak
-    A[r + 4, by_q + 2] = np.sqrt(weight)
-    return r + 5
+    return r + 4
 
 
 @kernel
@@ -229,6 +282,36 @@ def _look_rows(
         for j in range(3):
             A[r + i, by_q + j] = scale * H_f[i, j]
     return r + 3
+
+
+@kernel
+def strengthened(corner: Array, right: Array, column: Whole, weights: Array) -> tuple[Array, Array]:
+    """The border's triangle and right side with information ``weights`` (m) added along columns (m), at no residual."""
+    width, held = corner.shape[0], corner.shape[0]
+    A, y = np.zeros((width + len(weights), width)), np.zeros(width + len(weights))
+    A[:width], y[:width] = corner, right
+    first = width
+    for f in range(len(weights)):
+        if weights[f] > 0.0:
+            A[held, column[f]] = np.sqrt(weights[f])
+            held, first = held + 1, min(first, column[f])
+    reduce_columns(A, y, first, held, first, width - first, width)
+    return A[:width].copy(), y[:width].copy()
+
+
+@kernel
+def energy_of(
+    base: Array, motion: Array, looks: Array, at: Whole, starts: Whole, weak: float, T: Array, drift: Vec3, q: Array
+) -> float:
+    """Half the sum of squares of what :func:`eliminate` would linearise here, at a fraction of its cost."""
+    A, y = np.zeros((_most_rows(starts), 18)), np.zeros(_most_rows(starts))
+    nowhere, total = np.zeros(max(len(T), len(q)), np.int64), 0.0  # columns, whose slopes nobody reads
+    for k in range(len(T)):
+        y[:] = 0.0
+        rows = _rows_of_pose(A, y, 0, k, 0, 0, base, motion, looks, at, starts, weak, T, drift, q, nowhere, nowhere)
+        for r in range(rows):
+            total += 0.5 * y[r] * y[r]
+    return total
 
 
 @kernel

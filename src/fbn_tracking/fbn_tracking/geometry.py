@@ -88,14 +88,21 @@ def polar_jacobian(s: Vec3) -> tuple[Vec3, Mat3]:
 def world_point(R_world_array: Mat3, p_world_array: Vec3, q: Vec3) -> tuple[Vec3, Mat3]:
     """World point of ``q`` seen by an array at this pose, and its derivative by q."""
     c, dc = cartesian_jacobian(q)
-    return p_world_array + R_world_array @ c, R_world_array @ dc
+    R, point = R_world_array, np.empty(3)
+    for i in range(3):
+        point[i] = p_world_array[i] + R[i, 0] * c[0] + R[i, 1] * c[1] + R[i, 2] * c[2]
+    return point, product(R, dc)
 
 
 @kernel
 def observe(R_world_array: Mat3, p_world_array: Vec3, point: Vec3) -> tuple[Vec3, Mat3]:
     """``(r, phi, theta)`` of a world point as an array at this pose sees it, and its derivative by the point."""
-    z, d = polar_jacobian(R_world_array.T @ (point - p_world_array))
-    return z, d @ R_world_array.T
+    R, y = R_world_array, np.empty(3)
+    a, b, c = point[0] - p_world_array[0], point[1] - p_world_array[1], point[2] - p_world_array[2]
+    for i in range(3):
+        y[i] = R[0, i] * a + R[1, i] * b + R[2, i] * c
+    z, d = polar_jacobian(y)
+    return z, times_transposed(d, R)
 
 
 @kernel

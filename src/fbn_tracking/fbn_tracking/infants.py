@@ -11,12 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from fbn_common.kernels import kernel
+from fbn_common.lie import product
 from fbn_common.types import Array, Mat2, Mat3, Vec2, Vec3
 from fbn_tracking.geometry import elevation_scale, observe, u_from_theta, world_point
 
 _ITERATIONS = 20
 _PROFILE_ITERATIONS = 3  # nearly linear in all but theta, and from one angle to the next
 _CONVERGED = 1e-5  # of the energy
+_EXACT = 1e9  # s^2/m^2: information that holds the drift's slack at rest
 
 
 @kernel
@@ -72,11 +74,11 @@ def normal_equations(
     """
     H, g, energy, static = np.zeros((5, 5)), np.zeros(5), 0.0, 0.0
     point, d_q = world_point(R[0], p[0], x[:3].copy())
-    J = np.empty(5)
+    J, at = np.empty(5), np.empty(3)
     for i in range(t.shape[0]):
-        slack = np.array([x[3] * t[i], x[4] * t[i], 0.0])
-        s, d = observe(R[i], p[i] + slack, point)
-        by_q = d @ d_q
+        at[0], at[1], at[2] = p[i, 0] + x[3] * t[i], p[i, 1] + x[4] * t[i], p[i, 2]
+        s, d = observe(R[i], at, point)
+        by_q = product(d, d_q)
         for row in range(3):
             scale, e = whitened(row, s, z[i])
             if row < 2:
@@ -87,13 +89,18 @@ def normal_equations(
             energy += e * e
             for k in range(5):
                 g[k] -= J[k] * e
-                for m in range(5):
+                for m in range(k + 1):
                     H[k, m] += J[k] * J[m]
+    for k in range(5):
+        for m in range(k):
+            H[m, k] = H[k, m]
     v, w = x[3:].copy(), drift_information @ x[3:].copy()
     H[3:, 3:] += drift_information
     g[3:] -= w
     prior = float(v @ w)
     energy, static = energy + prior, static + prior
+    if not memory_information.any():
+        return H, g, energy, static
     gap = point - memory
     pull = memory_information @ gap
     H[:3, :3] += d_q.T @ (memory_information @ d_q)
@@ -119,21 +126,6 @@ def profile(
         _, _, energies[i], _ = normal_equations(x, R, p, t, z, drift_information, np.zeros(3), none)
         points[i], _ = world_point(R[0], p[0], x[:3].copy())
     return energies, points
-
-
-@kernel
-def missing_curvature(q: Vec3, R: Array, p: Array, z: Array) -> float:
-    """What Gauss-Newton leaves out of the second derivative of half the energy by theta; 0 where that is negative."""
-    t, none, step = np.zeros(z.shape[0]), np.zeros((3, 3)), 0.01
-    x, E = np.zeros(5), np.empty(3)
-    known = 0.0
-    for i in range(3):
-        x[:3] = q
-        x[2] += (i - 1) * step
-        H, _, E[i], _ = normal_equations(x, R, p, t, z, np.zeros((2, 2)), np.zeros(3), none)
-        if i == 1:
-            known = H[2, 2]
-    return max(0.0, 0.5 * (E[0] - 2.0 * E[1] + E[2]) / step**2 - known)
 
 
 @kernel
@@ -184,6 +176,23 @@ def spread(x: Array, H: Array, R: Mat3, p: Vec3, a: float, c: float) -> tuple[Ve
     J[:3, :3], J[3, 3], J[4, 4] = d_q, 1.0, 1.0
     J[:3, 2] *= elevation_scale(x[2], np.sqrt(max(P[2, 2], 0.0)), a, c)
     return point, J @ P @ J.T
+
+
+@kernel
+def settled(
+    q0: Vec3, R: Array, p: Array, t: Array, z: Array, raw: Array, drift_information: Mat2,
+    memory: Vec3, memory_information: Mat3,
+) -> tuple[Array, Vec3, Array, Mat3, float, float]:  # fmt: skip
+    """Most likely unknowns near ``q0``, their world point and covariance (5, 5) of point and slack, energies as `fit`.
+
+    In between, the point's covariance (3, 3) were the poses and the drift exact: of the echoes as they are (``raw``).
+    """
+    R0, p0, a, c = R[0].copy(), p[0].copy(), z[0, 4], z[0, 5]
+    x, H, energy, static = fit(q0, R, p, t, z, drift_information, memory, memory_information)
+    point, covariance = spread(x, H, R0, p0, a, c)
+    exact, _, _, _ = normal_equations(x, R, p, t, raw, _EXACT * np.eye(2), memory, memory_information)
+    _, given_poses = spread(x, exact, R0, p0, a, c)
+    return x, point, covariance, given_poses[:3, :3].copy(), energy, static
 
 
 def slack_covariance(drift_covariance: Mat3, heading: Vec2) -> Mat2:

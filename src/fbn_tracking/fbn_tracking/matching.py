@@ -103,14 +103,15 @@ def predict_infants(window: Window, tracks: list[Track], look: Look) -> list[Pre
     pairs = [(track, mode) for track in tracks for mode in track.modes]
     if not pairs:
         return []
-    ping = window.pings[look.index]
-    since = [reference(window, track) for track, _ in pairs]
-    t = np.array([(ping.stamp_ns - window.pings[i].stamp_ns) / NS for i in since])
-    extra = np.abs(np.array([ping.travelled - window.pings[i].travelled for i in since]))
+    pings, ping = window.pings, window.pings[look.index]
+    since = [pings[reference(window, track)] for track, _ in pairs]
+    t = (ping.stamp_ns - np.array([before.stamp_ns for before in since])) / NS
+    extra = np.abs(ping.travelled - np.concatenate([before.travelled for before in since]).reshape(-1, 2))
     extra[:, 1] = np.minimum(extra[:, 1], heading_bound(ping))
     R, p = array_pose(window.T(look.index), look.mount)
-    points, slack = np.array([m.point for _, m in pairs]), np.array([m.x[3:] for _, m in pairs])
-    covariance = np.array([m.covariance for _, m in pairs])
+    points = np.concatenate([m.point for _, m in pairs]).reshape(-1, 3)
+    slack = np.concatenate([m.x[3:] for _, m in pairs]).reshape(-1, 2)
+    covariance = np.concatenate([m.covariance for _, m in pairs]).reshape(-1, 5, 5)
     z, S = predict_points(points, slack, covariance, t, extra, R, p, look.limits[4], look.limits[5])
     return [Prediction(track, z[i], S[i]) for i, (track, _) in enumerate(pairs)]
 

@@ -14,13 +14,12 @@ import numpy as np
 from fbn_common.types import NS, Array, Mat2, Mat3, Mat4, Vec3
 from fbn_tracking.gating import missed_costs
 from fbn_tracking.geometry import observe, theta_from_u
-from fbn_tracking.infants import fit, normal_equations, spread, symmetric_inverse
+from fbn_tracking.infants import settled, symmetric_inverse
 from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.track import Detection, Look, Mode, Ping, Track, array_pose
 
 _START = 0.6  # of the half lobe: where the search for either elevation begins
 _SAME = 0.02  # rad: closer optima are one
-_EXACT = 1e9  # s^2/m^2: information that holds the drift's slack at rest
 _MEMORY_SLACK = 0.05**2 * np.eye(3)  # m^2: a target's own size
 
 
@@ -51,8 +50,7 @@ def find_modes(track: Track, around: Surroundings) -> list[Mode]:
     """The elevations still possible, likeliest first; never empty for a track with a detection or a memory."""
     if not track.detections:
         return [remembered(track, around)]
-    start = starting_points(track, around)
-    modes = sorted((evaluate(track, q, around) for q in start), key=lambda mode: mode.cost)
+    modes = sorted(evaluate(track, starting_points(track, around), around), key=lambda mode: mode.cost)
     best, rest = modes[0], modes[1:]
     rivals = [m for m in rest if abs(m.x[2] - best.x[2]) > _SAME]
     return [best, *(m for m in rivals if m.cost - best.cost < around.feature.mode_gap)]
@@ -75,22 +73,23 @@ def half_lobe(detection: Detection) -> float:
     return theta_from_u(1.0, detection.z[4], detection.z[5])
 
 
-def evaluate(track: Track, q: Vec3, around: Surroundings) -> Mode:
-    """The optimum near ``q`` with its covariance and cost."""
+def evaluate(track: Track, starts: list[Vec3], around: Surroundings) -> list[Mode]:
+    """The optimum near each start with its covariance and cost."""
     detections = track.detections
     R, p = around.stack(d.look for d in detections)
     t = np.array([(d.stamp_ns - detections[0].stamp_ns) / NS for d in detections])
-    z = widened(detections, around)
+    raw, z = np.array([d.z for d in detections]), widened(detections, around)
     memory, information = np.zeros(3), np.zeros((3, 3))
     if track.memory is not None:
         memory, information = track.memory.point, symmetric_inverse(track.memory.covariance + _MEMORY_SLACK)
-    x, H, energy, static = fit(q, R, p, t, z, symmetric_inverse(around.slack), memory, information)
-    point, covariance = spread(x, H, R[0], p[0], z[0, 4], z[0, 5])
-    raw = np.array([d.z for d in detections])
-    exact = normal_equations(x, R, p, t, raw, _EXACT * np.eye(2), memory, information)[0]
-    given_poses = spread(x, exact, R[0], p[0], z[0, 4], z[0, 5])[1][:3, :3]
-    prior = misses_costs(track.misses, point[None], around) + place_costs(point[None], covariance[2, 2], track, around)
-    return Mode(x, point, covariance, given_poses, energy, static, 0.5 * energy + float(prior[0]))
+    free = symmetric_inverse(around.slack)
+    found = [settled(q, R, p, t, z, raw, free, memory, information) for q in starts]
+    missed = misses_costs(track.misses, np.array([point for _, point, *_ in found]), around)
+    modes = []
+    for (x, point, covariance, given_poses, energy, static), unseen in zip(found, missed, strict=True):
+        prior = float(unseen + place_costs(point[None], covariance[2, 2], track, around)[0])
+        modes.append(Mode(x, point, covariance, given_poses, energy, static, 0.5 * energy + prior))
+    return modes
 
 
 def widened(detections: list[Detection], around: Surroundings) -> Array:

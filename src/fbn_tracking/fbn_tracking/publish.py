@@ -12,7 +12,6 @@ from fbn_tracking.geometry import anchored_point
 from fbn_tracking.matching import Joint, feature_key, pose_key
 from fbn_tracking.modes import Surroundings
 from fbn_tracking.nursery import Nursery
-from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.track import Track, pose_matrix
 from fbn_tracking.window import Window
 
@@ -25,7 +24,8 @@ def tracked_features(
     """All features of the window and the infants seen more than once, relative to the vehicle, carried to odom."""
     motion = window.pings[window.last].motion
     move = pose_matrix(motion.pose) @ np.linalg.inv(window.T(window.last))
-    shown = [_feature(window, track, nursery.parameters.feature, joint, move) for track in window.features.values()]
+    around = Surroundings(window.estimate.poses(), window.pings, np.zeros((2, 2)), nursery.parameters.feature)
+    shown = [_feature(window, track, around, joint, move) for track in window.features.values()]
     young = sorted(nursery.infants.values(), key=lambda t: t.key)
     shown += [_infant(t, move) for t in young if t.modes and (t.seen >= _SHOWN or t.memory is not None)]
     return TrackedFeatures(motion.stamp_ns, frame_id, pings, tuple(shown))
@@ -50,23 +50,19 @@ def _infant(track: Track, move: Mat4) -> TrackedFeature:
     return _record(track, stage, mode.point, mode.covariance[:3, :3], move)
 
 
-def sided(window: Window, track: Track, feature: FeatureParameters) -> Vec3:
+def sided(window: Window, track: Track, around: Surroundings) -> Vec3:
     """A feature's r, phi, theta, on the likelier side where the smoother has swung off the one it graduated on.
 
     The system holds neither floor nor surface, so that nothing but ranges keeps it there; composites choose anew.
     """
     q = window.estimate.q(track.key)
     swung = bool(track.modes) and q[2] * track.modes[0].x[2] < 0.0
-    if not swung or feature.elevation != "cubic":
-        return q
-    return likelier_side(track, q, Surroundings(window.estimate.poses(), window.pings, np.zeros((2, 2)), feature))
+    return likelier_side(track, q, around) if swung and around.feature.elevation == "cubic" else q
 
 
-def _feature(
-    window: Window, track: Track, feature: FeatureParameters, joint: Joint | None, move: Mat4
-) -> TrackedFeature:
+def _feature(window: Window, track: Track, around: Surroundings, joint: Joint | None, move: Mat4) -> TrackedFeature:
     ka, kf = pose_key(track.anchor), feature_key(track.key)
-    T_anchor, q, first = window.T(track.anchor), sided(window, track, feature), track.detections[0]
+    T_anchor, q, first = window.T(track.anchor), sided(window, track, around), track.detections[0]
     if joint is not None and ka in joint.offset and kf in joint.offset:
         at, a, c = joint.offset, first.z[4], first.z[5]
         point, covariance = anchored_place(T_anchor, first.look.mount, q, joint.covariance, at[ka], at[kf], a, c)

@@ -9,7 +9,14 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 
 from fbn_common.types import Array
-from fbn_tracking.elimination import Whole, back_substitute, eliminate, missing_curvatures
+from fbn_tracking.elimination import (
+    Whole,
+    back_substitute,
+    eliminate,
+    energy_of,
+    missing_curvatures,
+    strengthened,
+)
 from fbn_tracking.system import Layout, State, System
 
 _ITERATIONS = 30
@@ -46,7 +53,7 @@ class _Looks(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """A linearised window and where its step leads."""
+    """A linearised window, the measurements alone, reduced."""
 
     corner: Array
     right: Array
@@ -63,39 +70,38 @@ def solve(system: System, start: State, kept: Iterable[int], exact: bool) -> Sol
     poses in the border.  Raises RuntimeError where an estimate is not finite.
     """
     layout, made = system.layout(kept), _Looks(system.base, system.motion.view(), *system.sorted_looks(), system.weak)
+    theta = layout.features + 2
     state, damping = start, 0.0
-    missing = _missing(made, state)
-    here = _linearise(made, state, layout, missing)
+    here, missing = _linearise(made, state, layout), _missing(made, state)
     for _ in range(_ITERATIONS):
-        border, poses = back_substitute(here.corner, here.right, here.chain, layout.poses)
+        corner, right = strengthened(here.corner, here.right, theta, missing + damping)
+        border, poses = back_substitute(corner, right, here.chain, layout.poses)
         candidate = state.moved(border, poses, layout)
         if not (np.isfinite(candidate.T).all() and np.isfinite(candidate.q).all()):
             raise RuntimeError("a window's estimate is not finite")
         if not exact and _small(border, poses, layout):
-            return Solution(candidate, layout, here.corner, here.energy)
-        bent = _missing(made, candidate)
-        there = _linearise(made, candidate, layout, bent)
-        if not there.energy <= here.energy + _CONVERGED * (1.0 + here.energy):
+            return Solution(candidate, layout, corner, here.energy)
+        energy = energy_of(*made, *candidate)
+        if not energy <= here.energy + _CONVERGED * (1.0 + here.energy):
             damping = max(damping * 10.0, 10.0)
             if damping > _MOST_DAMPING or not len(missing):
                 break
-            here = _linearise(made, state, layout, missing + damping)
             continue
-        done = here.energy - there.energy < _CONVERGED * (1.0 + there.energy)
-        state, missing, damping = candidate, bent, damping * 0.1 if damping > 1.0 else 0.0
-        here = there if damping == 0.0 or done else _linearise(made, state, layout, missing + damping)
+        done = here.energy - energy < _CONVERGED * (1.0 + energy)
+        state, damping = candidate, damping * 0.1 if damping > 1.0 else 0.0
+        here, missing = _linearise(made, state, layout), _missing(made, state)
         if done:
             break
-    plain = _linearise(made, state, layout, np.zeros(len(missing))) if exact else here
-    return Solution(state, layout, plain.corner, plain.energy)
+    corner = here.corner if exact else strengthened(here.corner, here.right, theta, missing)[0]
+    return Solution(state, layout, corner, here.energy)
 
 
 def _missing(made: _Looks, state: State) -> Array:
     return missing_curvatures(made.looks, made.at, state.T, state.q)
 
 
-def _linearise(made: _Looks, state: State, layout: Layout, weights: Array) -> _Step:
-    return _Step(*eliminate(*made, weights, *state, layout.poses, layout.features, layout.top, layout.width))
+def _linearise(made: _Looks, state: State, layout: Layout) -> _Step:
+    return _Step(*eliminate(*made, *state, layout.poses, layout.features, layout.top, layout.width))
 
 
 def _small(border: Array, poses: Array, layout: Layout) -> bool:

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 
-from fbn_common.lie import matrix_from_quaternion
+from fbn_common.kernels import kernel
+from fbn_common.lie import matrix_from_quaternion, product
 from fbn_common.records import PingMotion, Pose, SonarDetections
 from fbn_common.sonar import SonarArray
 from fbn_common.types import NS, Array, Mat3, Mat4, Vec3
 from fbn_tracking.factors import inverse, whitener
-from fbn_tracking.geometry import elevation_shape
+from fbn_tracking.geometry import carried, elevation_shape
 from fbn_tracking.heading import given_deviation, information_given_deviation
 from fbn_tracking.parameters import FeatureParameters
 
@@ -191,10 +192,10 @@ def pose_matrix(pose: Pose) -> Mat4:
     return T
 
 
+@kernel
 def array_pose(T_world_base: Mat4, mount: Mat4) -> tuple[Mat3, Vec3]:
     """Rotation and position of an array in the world, C-ordered."""
-    T = T_world_base @ mount
-    return np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
+    return product(T_world_base, mount), carried(T_world_base, mount[:3, 3])
 
 
 def stack_poses(looks: Iterable[Look], poses: Mapping[int, Mat4]) -> tuple[Array, Array]:

@@ -74,11 +74,12 @@ class MotionEkf:
     def put_motions(self, *motions: PredictedMotion) -> list[str]:
         """Take motions, or their replacements; for each, why it cannot be used, empty if it can."""
         head = self.head_ns
-        known = [m.start_ns < head and self.motions.has(m.stamp_ns) for m in motions]
+        passed = [i for i, m in enumerate(motions) if m.start_ns < head]
+        again = [i for i in passed if self.motions.has(motions[i].stamp_ns)]
         errors = self.motions.put(*motions)
-        for motion, again, error in zip(motions, known, errors, strict=True):
-            if again and not error:
-                self._mark(motion.start_ns)
+        for i in again:
+            if not errors[i]:
+                self._mark(motions[i].start_ns)
         return errors
 
     def put_event(self, stamp_ns: int, rank: int, kind: Kind, sensor: int, data: Array) -> int:

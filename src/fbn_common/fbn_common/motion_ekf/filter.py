@@ -44,6 +44,7 @@ class MotionFilter:
 
     def __init__(self, parameters: FilterParameters, ranks: dict[str, int], rows: int) -> None:
         self.parameters = parameters
+        self._ahead_ns = nanoseconds(parameters.history.ahead)
         self.ranks = ranks
         self.intakes = self.sensors()
         self.rows = rows
@@ -154,9 +155,9 @@ class MotionFilter:
 
     def examine(self, intake: Intake, record: Any, now_ns: int) -> tuple[Array | None, list[Output]]:
         """The measurement's data, or None and what is said of it."""
-        head, history = self.ekf.head_ns, self.parameters.history
+        head = self.ekf.head_ns
         oldest = max(self.ekf.base.stamp_ns + 1, head - self.ekf.history_ns) if head >= 0 else 0
-        objection = intake.objection(record, (oldest, now_ns + nanoseconds(history.ahead)))
+        objection = intake.objection(record, (oldest, now_ns + self._ahead_ns))
         if objection is not None:
             return None, [self.answers.refuse(intake, record.stamp_ns, *objection)]
         try:
@@ -179,12 +180,16 @@ class MotionFilter:
         return []
 
     def _take_motions(self, motions: list[PredictedMotion]) -> list[Output]:
-        oldest, out = self.ekf.head_ns - self.ekf.history_ns, []
-        for motion, error in zip(motions, self.ekf.put_motions(*motions), strict=True):
-            why = "older than the history" if motion.stamp_ns < oldest else error
-            if why:
-                out.append(self.answers.say(motion.stamp_ns, "predict", Verdict.REFUSED, why))
-        return out
+        if not motions:
+            return []
+        oldest = self.ekf.head_ns - self.ekf.history_ns
+        errors = self.ekf.put_motions(*motions)
+        whys = ["older than the history" if m.stamp_ns < oldest else e for m, e in zip(motions, errors, strict=True)]
+        return [
+            self.answers.say(motion.stamp_ns, "predict", Verdict.REFUSED, why)
+            for motion, why in zip(motions, whys, strict=True)
+            if why
+        ]
 
     def _take_parameters(self, record: VehicleParameters) -> list[Output]:
         """The first are the prior; later ones are adopted, but not by the filter that they come from."""

@@ -77,7 +77,7 @@ def refusal(stamp_ns: int, frame_id: str, sensor: str, verdict: Verdict, reason:
 
 def content_of(*values: object) -> bytes:
     """What two equal measurements have in common."""
-    return b"|".join(v.tobytes() if isinstance(v, np.ndarray) else repr(v).encode() for v in values)
+    return b"|".join([v.tobytes() if isinstance(v, np.ndarray) else repr(v).encode() for v in values])
 
 
 def all_finite(*values: float | Array) -> bool:

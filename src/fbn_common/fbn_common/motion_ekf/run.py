@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from fbn_common.kernels import kernel
+from fbn_common.kernels import inner_kernel, kernel
 from fbn_common.motion_ekf.layout import (
     ALTITUDE,
     ALTITUDE_TIME,
@@ -24,7 +24,7 @@ from fbn_common.motion_ekf.layout import (
     Snapshots,
 )
 from fbn_common.motion_ekf.measure import COLUMNS, cholesky, correct, innovation_covariance, model, project, whiten
-from fbn_common.motion_ekf.propagate import propagate
+from fbn_common.motion_ekf.propagate import carry, new_scratch
 from fbn_common.records import Verdict
 from fbn_common.types import Array
 
@@ -188,6 +188,19 @@ def _note_xy(events: Events, e: int, at: int, x: Array, p: Array) -> None:
     row[at], row[at + 1], row[at + 2], row[at + 3], row[at + 4] = x[0], x[1], p[0, 0], p[0, 1], p[1, 1]
 
 
+@inner_kernel
+def _keep(snapshots: Snapshots, slot: int, t: int, x: Array, p: Array, sensors: Array) -> None:
+    snapshots.stamp[slot] = t
+    for i in range(x.shape[0]):
+        snapshots.x[slot, i] = x[i]
+    for i in range(p.shape[0]):
+        for j in range(p.shape[1]):
+            snapshots.covariance[slot, i, j] = p[i, j]
+    for i in range(sensors.shape[0]):
+        for j in range(sensors.shape[1]):
+            snapshots.sensors[slot, i, j] = sensors[i, j]
+
+
 @kernel
 def run(
     start_ns: int,
@@ -209,6 +222,7 @@ def run(
     Gives why it came back, the time reached, and the next event.
     """
     t, i, capacity = start_ns, first, motions.stamp.shape[0]
+    room = new_scratch(p.shape[0])
     while True:
         while i < last and events.stamp[events.order[i]] <= t:
             e = events.order[i]
@@ -223,10 +237,7 @@ def run(
             i += 1
         if keep and t % config.snapshot_ns == 0:
             slot = (t // config.snapshot_ns) % snapshots.stamp.shape[0]
-            snapshots.stamp[slot] = t
-            snapshots.x[slot] = x
-            snapshots.covariance[slot] = p
-            snapshots.sensors[slot] = sensors
+            _keep(snapshots, slot, t, x, p, sensors)
         if t >= target_ns:
             return DONE, t, i
         end = (t // GRID_NS + 1) * GRID_NS
@@ -237,5 +248,6 @@ def run(
         if i < last:
             until = min(until, events.stamp[events.order[i]])
         begin = end - GRID_NS
-        propagate(x, p, motions, k, (t - begin) / GRID_NS, (until - begin) / GRID_NS, (until - t) * 1e-9, config)
+        a0, a1 = (t - begin) / GRID_NS, (until - begin) / GRID_NS
+        carry(x, p, motions, k, a0, a1, (until - t) * 1e-9, config, room)
         t = until

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from itertools import chain
 from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
 
-from fbn_common.kernels import kernel
-from fbn_common.lie import matrix_from_quaternion
+from fbn_common.kernels import inner_kernel, kernel
+from fbn_common.lie import matrix_from_quaternion_into
 from fbn_common.motion_ekf.layout import DATA_SIZE, GRID_NS, OUT_SIZE, Events, IntArray, Kind, Motions
 from fbn_common.records import PredictedMotion
-from fbn_common.types import Array
+from fbn_common.types import Array, Mat3
 
 BoolArray = npt.NDArray[np.bool_]
 MOTIONS = 2048  # 20 s
@@ -32,26 +33,41 @@ def _file(rows: Motions, stamps: IntArray, flat: Array) -> BoolArray:
 
     Nothing is copied of one that is not.
     """
-    finite = np.zeros(stamps.shape[0], np.bool_)
+    finite, rotation = np.zeros(stamps.shape[0], np.bool_), np.empty((3, 3))
     for i in range(stamps.shape[0]):
-        k = (stamps[i] // GRID_NS) % rows.stamp.shape[0]
-        one = flat[i]
-        finite[i] = np.isfinite(one.sum())
-        if not finite[i]:
-            continue
-        rows.mean[k], rows.parameters[k] = one[0:18], one[18:33]
-        jacobian = rows.jacobian[k]
-        for r in range(12):
-            for j in range(6):
-                jacobian[r, 3 + j] = one[33 + 6 * r + j]
-            for j in range(3):
-                jacobian[r, j] = one[105 + 3 * r + j]
-            for j in range(15):
-                jacobian[r, 9 + j] = one[141 + 15 * r + j]
-        rows.noise[k] = one[321:465].reshape(12, 12)
-        rows.attitude[k] = matrix_from_quaternion(one[465:469]).ravel()
-        rows.stamp[k] = stamps[i]
+        finite[i] = _file_one(rows, stamps[i], flat[i], rotation)
     return finite
+
+
+@inner_kernel
+def _file_one(rows: Motions, stamp: int, one: Array, rotation: Mat3) -> bool:
+    total = 0.0
+    for i in range(0, _WIDTH - 4, 5):
+        total += (one[i] + one[i + 1]) + (one[i + 2] + one[i + 3]) + one[i + 4]
+    for i in range(_WIDTH - 4, _WIDTH):
+        total += one[i]
+    if not np.isfinite(total):
+        return False
+    k = (stamp // GRID_NS) % rows.stamp.shape[0]
+    for i in range(18):
+        rows.mean[k, i] = one[i]
+    for i in range(15):
+        rows.parameters[k, i] = one[18 + i]
+    for r in range(12):
+        for j in range(6):
+            rows.jacobian[k, r, 3 + j] = one[33 + 6 * r + j]
+        for j in range(3):
+            rows.jacobian[k, r, j] = one[105 + 3 * r + j]
+        for j in range(15):
+            rows.jacobian[k, r, 9 + j] = one[141 + 15 * r + j]
+        for j in range(12):
+            rows.noise[k, r, j] = one[321 + 12 * r + j]
+    matrix_from_quaternion_into(one[465:469], rotation)
+    for i in range(3):
+        for j in range(3):
+            rows.attitude[k, 3 * i + j] = rotation[i, j]
+    rows.stamp[k] = stamp
+    return True
 
 
 def _off_the_grid(m: PredictedMotion) -> str:
@@ -79,16 +95,20 @@ class MotionLog:
     def put(self, *motions: PredictedMotion) -> list[str]:
         """Take motions, or their replacements; for each, why it cannot be used, empty if it can."""
         errors = [_off_the_grid(m) for m in motions]
-        taken = [i for i, error in enumerate(errors) if not error]
-        flat = np.frombuffer(b"".join([part for i in taken for part in _parts(motions[i])])).reshape(-1, _WIDTH)
-        stamps = np.array([motions[i].stamp_ns for i in taken], np.int64)
-        for i, finite in zip(taken, _file(self.rows, stamps, flat).tolist(), strict=True):
-            if finite:
-                start, end = motions[i].start_ns, motions[i].stamp_ns
-                self.first_ns = start if self.first_ns < 0 else min(self.first_ns, start)
-                self.newest_ns = max(self.newest_ns, end)
-            else:
-                errors[i] = "not finite"
+        taken = motions if not any(errors) else [m for m, e in zip(motions, errors, strict=True) if not e]
+        if not taken:
+            return errors
+        flat = np.frombuffer(b"".join(chain.from_iterable(map(_parts, taken)))).reshape(-1, _WIDTH)
+        stamps = [m.stamp_ns for m in taken]
+        finite = _file(self.rows, np.array(stamps, np.int64), flat)
+        if not finite.all():
+            verdicts = iter(finite.tolist())
+            errors = [error or ("" if next(verdicts) else "not finite") for error in errors]
+            stamps = [m.stamp_ns for m, error in zip(motions, errors, strict=True) if not error]
+        if stamps:
+            start = min(stamps) - GRID_NS
+            self.first_ns = start if self.first_ns < 0 else min(self.first_ns, start)
+            self.newest_ns = max(self.newest_ns, max(stamps))
         return errors
 
     def has(self, stamp_ns: int) -> bool:
@@ -144,7 +164,10 @@ class EventLog:
         self.keys.insert(at, key)
         self.slots.insert(at, slot)
         rows, n = self.rows, len(self.slots)
-        rows.order[at:n] = self.slots[at:]
+        if at == n - 1:
+            rows.order[at] = slot
+        else:
+            rows.order[at:n] = self.slots[at:]
         rows.stamp[slot], rows.kind[slot], rows.sensor[slot] = stamp_ns, int(kind), sensor
         rows.data[slot, : len(data)] = data
         return slot
@@ -164,5 +187,6 @@ class EventLog:
         n = bisect_left(self.keys, (before_ns, -1, 0))
         if n:
             del self.keys[:n], self.slots[:n]
-            self.rows.order[: len(self.slots)] = self.slots
+            kept = len(self.slots)
+            self.rows.order[:kept] = self.rows.order[n : n + kept]
         return n
