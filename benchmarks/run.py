@@ -31,6 +31,7 @@ def kernels() -> Table:
     """EKF kernels against filterpy."""
     columns = ("what", "states", "ours [us]", "called alone [us]", "filterpy [us]", "ratio")
     made = table("EKF kernels beside filterpy's EKF of the same size", *columns)
+    made.caption = "the filters answer attitude (3 degrees of freedom) and depth (1) apart; filterpy does all 4 at once"
     for c in contests():
         times = (f"{t:.1f}" for t in (c.ours, c.alone, c.filterpy))
         made.add_row(c.what, str(c.states), *times, f"{c.ratio:.2f}")

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from numba import njit
 from numba.core import config
@@ -32,10 +32,12 @@ def kernel(function: F) -> F:
 def inner_kernel(function: F) -> F:
     """As :func:`kernel`, for a function that makes no arrays: it borrows those it is given and counts no references.
 
-    Counting them costs more than the work of a function that is called many times a step.
+    Counting them costs more than the work of a function that is called many times a step.  One that does make an
+    array, if only to copy a slice to a slice, does not compile.
     """
     config.CACHE_DIR = str(cache_directory(function.__module__.partition(".")[0]))  # type: ignore[attr-defined]
-    return cast(F, njit(cache=True, _nrt=False)(function))
+    options: dict[str, Any] = {"cache": True, "_nrt": False}  # without numba's runtime of counted references
+    return cast(F, njit(**options)(function))
 
 
 @cache

@@ -116,7 +116,7 @@ def test_the_pushed_covariance_is_that_of_the_whole_transition_matrix(near: bool
     root, top, columns = RNG.standard_normal((n, n)), 0.1 * RNG.standard_normal((12, 24)), RNG.standard_normal((12, 3))
     before = root @ root.T
     whole, after, flat, room = np.eye(n), before.copy(), np.zeros((12, 3)), new_covariance_scratch(n)
-    push(after, np.zeros((12, 24)), True, columns, room)  # with nothing else moving, this shows where the columns belong
+    push(after, np.zeros((12, 24)), True, columns, room)  # nothing else moves: this shows where the columns belong
     surface = _columns_of(before, after, columns)
     whole[:12, ROTATION : ROTATION + 24] += top
     if near:

@@ -16,6 +16,7 @@ from fbn_common.lie import cross_into, so3_exp_into
 from fbn_common.types import Array, Mat3, Vec3
 from fbn_predict.parameters import Dynamics
 
+
 class Model(NamedTuple):
     """The constants of :class:`~fbn_predict.parameters.Dynamics`, as the kernels take them."""
 

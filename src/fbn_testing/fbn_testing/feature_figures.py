@@ -45,10 +45,11 @@ def _section(axis: Any, section: Section) -> None:
     axis.scatter(features[:, 0], features[:, 2], marker="x", s=28, color="black", label="true features", zorder=3)
     for number, (xyz, covariance) in enumerate(_latest(section.outcome)):
         ellipse = np.linalg.cholesky(covariance[np.ix_([0, 2], [0, 2])]) @ _CIRCLE
-        axis.plot(xyz[0] + ellipse[0], xyz[2] + ellipse[1], color=_BLUE, lw=0.7, alpha=0.7)
+        axis.plot(xyz[0] + ellipse[0], xyz[2] + ellipse[1], color=_BLUE, lw=1.0, alpha=0.8)
         axis.plot(xyz[0], xyz[2], ".", color=_BLUE, label="estimates, 1σ" if number == 0 else None)
-    axis.set_ylim(-simulation.scenario.world.depth - 4.0, 3.0)
-    axis.set_ylabel("z [m]")
+    axis.set_xlim(features[:, 0].min() - 30.0, features[:, 0].max() + 30.0)
+    axis.set_ylim(-simulation.scenario.world.depth - 3.0, 2.5)
+    axis.set_ylabel("z, up [m]")
     axis.set_title(section.name, loc="left", fontsize=10)
 
 

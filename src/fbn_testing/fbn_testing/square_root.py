@@ -21,8 +21,8 @@ class Conditions(NamedTuple):
     """Condition numbers, raw and with every column of ``A`` scaled to one, which no choice of units betters by much."""
 
     root: float
-    information: float  # of the matrix as formed in the precision; infinite where it is not positive definite
     root_scaled: float
+    information: float  # of the matrix as formed in the precision; infinite where it is not positive definite
 
 
 class Errors(NamedTuple):
@@ -109,10 +109,19 @@ def errors(A: Array, kept: int, S: Real, by_qr: bool, dtype: type) -> Errors:
         return Errors(True, float("nan"))
 
 
-def conditions(A: Array, dtype: type) -> Conditions:
-    """Condition numbers of the square root (by singular values in double precision) and of the information matrix."""
+def root_conditions(A: Array) -> tuple[float, float]:
+    """Condition numbers of the square root, raw and scaled, by singular values in double precision."""
     scaled = A / np.linalg.norm(A, axis=0)
-    root, root_scaled = (float(s[0] / s[-1]) for s in (np.linalg.svd(a, compute_uv=False) for a in (A, scaled)))
+    values = [np.linalg.svd(_root(a), compute_uv=False) for a in (A, scaled)]
+    return float(values[0][0] / values[0][-1]), float(values[1][0] / values[1][-1])
+
+
+def _root(A: Array) -> Array:
+    """Triangular, with the same singular values."""
+    return np.asarray(np.linalg.qr(A, mode="r"))
+
+
+def information_condition(A: Array, dtype: type) -> float:
+    """Condition number of the information matrix as formed in this precision; infinite where not positive definite."""
     eigenvalues = np.linalg.eigvalsh(information(A, dtype))
-    positive = eigenvalues[0] > 0.0
-    return Conditions(root, float(eigenvalues[-1] / eigenvalues[0]) if positive else float("inf"), root_scaled)
+    return float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0.0 else float("inf")

@@ -22,10 +22,18 @@ from rich.console import Console
 from rich.progress import track as progress
 from rich.table import Table
 
-from fbn_common.types import Array
+from fbn_common.types import Array, nanoseconds
 from fbn_testing.feature_runs import Heard, hear, tracker_of
 from fbn_testing.gtsam_window import DRIFT, feature_key, graph_of, pose_key, values_of
-from fbn_testing.square_root import Conditions, Errors, conditions, errors, inverse, reference_corner
+from fbn_testing.square_root import (
+    Conditions,
+    Errors,
+    errors,
+    information_condition,
+    inverse,
+    reference_corner,
+    root_conditions,
+)
 from fbn_tracking.window import Window
 
 console = Console(highlight=False, width=150)
@@ -34,6 +42,7 @@ PRECISIONS = (1.0, 10.0, 100.0, 1000.0)  # the sonar's sigmas of range and beari
 TYPES = {"double": np.float64, "single": np.float32}
 WAYS = {"square root": True, "information": False}
 UNCUT = {"composite.pings": 90, "composite.wait_pings": 90, "composite.window": 180}
+BEGIN_S, LIMIT_S = 110.0, 205.0  # of the mission: features are in view from then on; the longest window is full by then
 _OFF = 0.01  # of a variance: what is more than this off is of no use to a consistent filter
 
 
@@ -58,7 +67,8 @@ class Case(NamedTuple):
 def windows(heard: Heard) -> Iterator[tuple[int, Window]]:
     """The first window of each length in which features are tracked."""
     tracker, wanted = tracker_of(heard, UNCUT), set(LENGTHS)
-    for step in heard.steps:
+    begin_ns = heard.steps[0].end_ns + nanoseconds(BEGIN_S)
+    for step in (step for step in heard.steps if step.end_ns > begin_ns):
         for _, topic, record in step.logged:
             tracker.put(topic, record)
         tracker.advance(step.end_ns)
@@ -66,6 +76,8 @@ def windows(heard: Heard) -> Iterator[tuple[int, Window]]:
         if window is not None and window.features and len(window.pings) in wanted:
             wanted.remove(len(window.pings))
             yield len(window.pings), window
+        if not wanted:
+            return
 
 
 def linearised(window: Window) -> System:
@@ -86,10 +98,10 @@ def examine(system: System, length: int) -> Iterator[Case]:
     """Every precision of the sonar, in every arithmetic, both ways."""
     for precision in PRECISIONS:
         A = np.where(system.sonar[:, None], precision, 1.0) * system.A
-        truth = inverse(reference_corner(A, system.kept))
+        truth, of_root = inverse(reference_corner(A, system.kept)), root_conditions(A)
         for name, dtype in TYPES.items():
             both = {way: errors(A, system.kept, truth, by_qr, dtype) for way, by_qr in WAYS.items()}
-            yield Case(length, precision, name, conditions(A, dtype), both)
+            yield Case(length, precision, name, Conditions(*of_root, information_condition(A, dtype)), both)
 
 
 def table(cases: list[Case]) -> Table:
@@ -153,7 +165,7 @@ def main() -> None:
     first, last = (int(n) for n in given.seeds.split(":"))
     began, cases = time.process_time(), list[Case]()
     for seed in progress(range(first, last), description="missions", console=Console(stderr=True)):
-        for length, window in windows(hear("depth_of_features", seed)):
+        for length, window in windows(hear("depth_of_features", seed, {"mission.limit": LIMIT_S})):
             cases += examine(linearised(window), length)
     console.print(table(cases))
     if given.figure:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 from fbn_common.motion_ekf.layout import DAMPING, ROTATION, X_DEVIATION
+from fbn_common.motion_ekf.monitor import all_finite
 from fbn_common.records import VehicleParameters
 from fbn_common.types import Array
 
@@ -14,14 +16,16 @@ def joint_covariance(record: VehicleParameters) -> Array:
     """Covariance (22, 22) of the 15 parameters and the further ones; (15, 15) where those are not stated."""
     if not record.further_covariance.any():
         return record.covariance
-    cross, own = record.further_covariance[:, :15], record.further_covariance[:, 15:]
-    return np.block([[record.covariance, cross.T], [cross, own]])
+    joint = np.empty((22, 22))
+    joint[:15, :15], joint[15:] = record.covariance, record.further_covariance
+    joint[:15, 15:] = record.further_covariance[:, :15].T
+    return joint
 
 
 def usable_parameters(record: VehicleParameters) -> bool:
     """Whether all is finite, and the covariance one."""
     numbers = (record.mean, record.covariance, record.further, record.further_covariance)
-    if not all(np.isfinite(n).all() for n in numbers):
+    if not all_finite(*numbers):
         return False
     c = joint_covariance(record)
     symmetric, slack = 0.5 * (c + c.T), 1e-12 * np.trace(c)
@@ -41,18 +45,23 @@ def adopt_covariance(p: Array, states: slice, covariance: Array, followers: slic
     as by a measurement of the states; all others stay as uncertain as they are, which against that measurement's
     posterior adds a positive semidefinite block (Schmidt).  So ``p`` stays positive definite.
     """
-    old = np.linalg.cholesky(p[states, states])
-    whitened = solve_triangular(old, solve_triangular(old, covariance, lower=True).T, lower=True)
+    old = np.asarray(np.linalg.cholesky(p[states, states]), np.float64)
+    whitened = _solve_lower(old, _solve_lower(old, covariance).T)
     values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
     basis = old @ vectors
-    kept, inverse = np.minimum(values, 1.0), solve_triangular(old.T, vectors)
-    cross = p[:, states] @ (basis @ np.diag(kept) @ inverse.T).T
+    kept, inverse = np.minimum(values, 1.0), _solve_lower(old, vectors, transposed=True)
+    cross = p[:, states] @ (inverse * kept) @ basis.T
     learnt = p[:, states] @ inverse * np.sqrt(1.0 - kept)
     p[followers, :] -= learnt[followers] @ learnt.T
     p[:, followers] = p[followers, :].T
     p[:, states] = cross
     p[states, :] = cross.T
     p[states, states] = 0.5 * (covariance + covariance.T)
+
+
+def _solve_lower(lower: Array, right: Array, *, transposed: bool = False) -> Array:
+    """``lower^-1 right``, or of the transpose: LAPACK without the checks, which take longer than the work."""
+    return np.asarray(dtrtrs(lower, right, lower=1, trans=int(transposed))[0])
 
 
 class Adoptions:
