@@ -237,6 +237,7 @@ class PingMotion(Record):
     velocity: Vec6 = shaped(6)  # body, over ground
     drift_covariance: Mat3 = shaped(3, 3)  # m^2/s^2
     heading_deviation: float = 0.0  # rad, standard deviation of yaw's error that stays from ping to ping
+    heading_drift: Vec3 = zeros(3)  # rad m/s, covariance of that error of yaw (true less stated) with the drift
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -59,26 +59,32 @@ def into_world(first: Array, rotation: Mat3) -> Mat6:
     return g
 
 
-def drift_covariance(state: State) -> Mat3:
-    """Covariance (3, 3) of the slow part of the ground velocity's error: world x, world y, body forward [m^2/s^2].
+class Lasting(NamedTuple):
+    """Covariance of the errors that stay from ping to ping."""
 
-    Forward speed is ``K f / D``: its relative error is that of K less that of D.
+    drift: Mat3  # m^2/s^2: world x, world y, body forward
+    heading: float  # rad, standard deviation: the compass's deviation at this attitude, which no pings average away
+    heading_drift: Vec3  # rad m/s, of yaw's error with the drift
+
+
+def lasting_errors(state: State) -> Lasting:
+    """The slow part of the errors of ground velocity and yaw, which GPS on one heading learns together.
+
+    Forward speed is ``K f / D``: its relative error is that of K less that of D.  Increments are in the body, so the
+    water's own velocity turns with yaw: at the true heading it is off by ``yaw error x water`` more.
     """
-    p, x = state.covariance, state.x
+    x, waves = state.x, deviation_waves(rotation_of(state.x))
     water = x[X_PARAMETERS + 12 : X_PARAMETERS + 15]
     speed = x[X_VELOCITY] - rotation_of(x)[:, 0] @ water
-    j = np.zeros((3, 4))
+    j = np.zeros((4, len(_SLOW) + len(waves)))  # drift, yaw
+    j[3, len(_SLOW) :] = -waves  # the compass shows yaw and deviation: what is missing of one is in the other
     j[0, 2] = j[1, 3] = 1.0
+    j[:2] += np.outer([water[1], -water[0]], j[3])
     j[2, 0] = -speed / x[X_PARAMETERS + 3]
     j[2, 1] = speed / x[X_PARAMETERS + 9]
-    return np.asarray(j @ p[np.ix_(_SLOW, _SLOW)] @ j.T)
-
-
-def heading_deviation(state: State) -> float:
-    """Standard deviation [rad] of the compass's deviation at this attitude: no number of pings averages it away."""
-    waves = deviation_waves(rotation_of(state.x))
-    own = slice(DEVIATION, DEVIATION + len(waves))
-    return float(np.sqrt(waves @ state.covariance[own, own] @ waves))
+    at = [*_SLOW, *range(DEVIATION, DEVIATION + len(waves))]
+    joint = j @ state.covariance[np.ix_(at, at)] @ j.T
+    return Lasting(joint[:3, :3], float(np.sqrt(joint[3, 3])), joint[3, :3])
 
 
 def fast_velocity(state: State) -> Mat3:

@@ -19,13 +19,12 @@ from fbn_common.motion_ekf.warm_up import rehearse
 from fbn_common.records import PingMotion, Range, Record, SonarDetections, Verdict
 from fbn_common.types import nanoseconds, seconds
 from fbn_deadreck.dead_service import (
-    drift_covariance,
     earth_covariance,
     earth_information,
     earth_of,
-    heading_deviation,
     identity,
     increment,
+    lasting_errors,
     pose_of_increment,
 )
 from fbn_deadreck.parameters import DeadreckParameters
@@ -99,6 +98,7 @@ class Deadreck(MotionFilter):
             information = earth_information(before, after, step)
         self._last, self._answered_ns = after, stamp_ns
         altitude, variance = self._altitude_at(stamp_ns)
+        lasting = lasting_errors(after)
         return PingMotion(
             stamp_ns=stamp_ns,
             frame_id="odom",
@@ -113,8 +113,9 @@ class Deadreck(MotionFilter):
             earth_information=0.5 * (information + information.T),
             earth_covariance=own_covariance,
             velocity=after.x[X_VELOCITY : X_VELOCITY + 6].copy(),
-            drift_covariance=drift_covariance(after),
-            heading_deviation=heading_deviation(after),
+            drift_covariance=lasting.drift,
+            heading_deviation=lasting.heading,
+            heading_drift=lasting.heading_drift,
         )
 
     def measure(self, intake: Intake, topic: str, record: Record, now_ns: int) -> list[Output]:

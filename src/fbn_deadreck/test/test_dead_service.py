@@ -9,13 +9,24 @@ import numpy as np
 import pytest
 
 from fbn_common.estimator import Output
-from fbn_common.lie import matrix_from_quaternion
+from fbn_common.lie import matrix_from_quaternion, matrix_from_rpy
 from fbn_common.motion_ekf.adopt import gained_information
 from fbn_common.motion_ekf.core import State
-from fbn_common.motion_ekf.layout import X_ROTATION, X_SIZE
+from fbn_common.motion_ekf.layout import (
+    DAMPING,
+    DEVIATION,
+    THRUST,
+    WATER,
+    X_PARAMETERS,
+    X_ROTATION,
+    X_SIZE,
+    X_VELOCITY,
+)
+from fbn_common.motion_ekf.measure import deviation_waves
+from fbn_common.motion_ekf.propagate import rotation_of
 from fbn_common.records import PingMotion, Pose
 from fbn_common.types import Array
-from fbn_deadreck.dead_service import earth_covariance, pushed
+from fbn_deadreck.dead_service import earth_covariance, lasting_errors, pushed
 from fbn_deadreck.estimator import Deadreck
 from fbn_predict.twin import Arrivals, Twin, on_time
 
@@ -142,3 +153,35 @@ def test_each_ping_states_the_compass_deviation_and_all_of_yaws_doubt_is_more(
     for ping in pings(voyage[0]):
         assert ping.heading_deviation == pytest.approx(deviation, rel=0.1)
         assert ping.earth_covariance[3, 3] > 0.8 * ping.heading_deviation**2
+
+
+def test_lasting_errors_are_those_of_the_ground_velocity_at_the_true_heading(
+    voyage: tuple[list[Output], Deadreck],
+) -> None:
+    """Errors drawn from the filter's covariance, small, put through the definition: what the increments lack at the
+    true heading, and how far that is from the stated one.  Linear to 1e-3 of the sigmas, as small as they are drawn."""
+    deadreck, rng, small = voyage[1], np.random.default_rng(4), 1e-3
+    t, x, p, sensors = deadreck.ekf.state.copy()
+    x[X_PARAMETERS + 12 : X_PARAMETERS + 14] = [0.3, -0.2]  # m/s of current, so that turning it counts
+    stated = lasting_errors(State(t, x, p, sensors))
+    at = [DAMPING, THRUST, WATER, WATER + 1, *range(DEVIATION, DEVIATION + 5)]
+    errors = small * rng.multivariate_normal(np.zeros(9), p[np.ix_(at, at)], 4000, method="cholesky")
+    R = rotation_of(x)
+    water, through = x[X_PARAMETERS + 12 : X_PARAMETERS + 15], R.T @ x[X_PARAMETERS + 12 : X_PARAMETERS + 15]
+    speed, waves = x[X_VELOCITY] - through[0], deviation_waves(R)
+    drawn = np.empty((len(errors), 4))
+    for row, e in zip(drawn, errors, strict=True):
+        yaw = -waves @ e[4:]  # the compass's reading stays: yaw and deviation err against one another
+        true = matrix_from_rpy(np.array([0.0, 0.0, yaw])) @ R
+        ratio = (1.0 + e[1] / x[X_PARAMETERS + 9]) / (1.0 + e[0] / x[X_PARAMETERS + 3])
+        lacks = true @ np.array([speed * (ratio - 1.0), 0.0, 0.0])  # forward, of the body
+        over_ground = water + np.array([e[2], e[3], 0.0]) - true @ through  # of the water, at the true heading
+        row[:] = *over_ground[:2], (true.T @ lacks)[0], yaw
+    covariance = drawn.T @ drawn / len(drawn) / small**2
+    ours = np.zeros((4, 4))
+    ours[:3, :3], ours[3, 3], ours[3, :3], ours[:3, 3] = (
+        stated.drift, stated.heading**2, stated.heading_drift, stated.heading_drift,
+    )  # fmt: skip
+    sigma = np.sqrt(np.diag(ours))
+    # a covariance of 4000 draws is good to 1/sqrt(4000) = 1.6 %, of a variance to 2.2 %; four sigmas
+    np.testing.assert_allclose(covariance / np.outer(sigma, sigma), ours / np.outer(sigma, sigma), atol=0.09)

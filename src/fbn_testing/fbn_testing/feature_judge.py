@@ -72,7 +72,9 @@ def judge(outcome: Outcome) -> Verdict:
             verdict.moved.append(moved(c, simulation))
         for number, f in enumerate(c.features):
             target = nearest(c, number, simulation)
-            if target is None:
+            if target is not None and passes(c, number, simulation, gap(c, number, target, simulation)):
+                passing.add(f.key)
+            elif target is None:
                 (passing if passes(c, number, simulation) else false).add(f.key)
             elif target >= simulation.truth.scatterers.features:
                 patches.add(f.key)
@@ -109,8 +111,17 @@ def nearest(c: CompositeMeasurement, number: int, simulation: Simulation) -> int
     return row if gaps[row] <= reach(offsets[row], covariance) else None
 
 
-def passes(c: CompositeMeasurement, number: int, simulation: Simulation) -> bool:
-    """Whether a fish or a cloud of bubbles was there at any time of the composite at which the feature was seen."""
+def gap(c: CompositeMeasurement, number: int, target: int, simulation: Simulation) -> float:
+    """How far a feature lies from a static thing, in x and y [m]."""
+    xyz, _ = place(c, number, simulation)
+    return float(np.hypot(*(simulation.truth.scatterers.places[target] - xyz)[:2]))
+
+
+def passes(c: CompositeMeasurement, number: int, simulation: Simulation, within: float = np.inf) -> bool:
+    """Whether a fish or a cloud of bubbles was there at any time of the composite at which the feature was seen.
+
+    And nearer than ``within`` [m] all that time: what swims by a true thing is not what was found there.
+    """
     xyz, covariance = place(c, number, simulation)
     things, f = simulation.truth.scatterers, c.features[number]
     start = simulation.truth.start_ns
@@ -120,7 +131,8 @@ def passes(c: CompositeMeasurement, number: int, simulation: Simulation) -> bool
     x, y = (things.places[:, i, None] + things.drift[:, i, None] * age - xyz[i] for i in (0, 1))
     gaps = np.where(alive, np.hypot(x, y), np.inf)
     row = np.unravel_index(int(np.argmin(gaps)), gaps.shape)
-    return bool(gaps[row] <= reach(np.array([x[row], y[row]]), covariance))
+    farthest = float(np.hypot(x, y)[row[0]][alive[row[0]]].max(initial=0.0))
+    return bool(farthest < within and gaps[row] <= reach(np.array([x[row], y[row]]), covariance))
 
 
 def reach(offset: Array, covariance: Array) -> float:

@@ -160,6 +160,7 @@ def compose(part: Part, sequence: int, cell_size: float, frame_id: str) -> Compo
     base = part.window.base
     looks = [look for ping in pings if ping is not first or base.fresh for look in ping.looks]
     R, p = stack_poses(looks, part.estimate.poses())
+    mean, covariance = turned(part.mean, 0.5 * (part.covariance + part.covariance.T), base)
     limits = [look.limits for look in looks]
     return CompositeMeasurement(
         stamp_ns=last.stamp_ns,
@@ -172,10 +173,10 @@ def compose(part: Part, sequence: int, cell_size: float, frame_id: str) -> Compo
         drift_time_constant=last.motion.drift_time_constant,
         features=tuple(_feature(track, part, looks, R, p) for track in part.tracks),
         swept=swept_area(list(zip(R, p, limits, strict=True)), part.base_xy, cell_size),
-        mean=part.mean,
-        covariance=turned(part.mean, 0.5 * (part.covariance + part.covariance.T), base.deviation),
+        mean=mean,
+        covariance=covariance,
         prior_mean=base.mean,
-        prior_covariance=turned_prior(base.covariance, base.deviation),
+        prior_covariance=turned_prior(base),
         base_odom=first.motion.pose,
         p2_odom=last.motion.pose,
     )

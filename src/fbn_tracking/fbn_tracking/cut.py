@@ -7,10 +7,11 @@ import numpy as np
 from fbn_common.lie import matrix_from_quaternion, quaternion_from_matrix
 from fbn_common.types import Array, Mat4
 from fbn_tracking.composite import Part, marginalise
+from fbn_tracking.heading import drift_prior, regression
 from fbn_tracking.nursery import Nursery, slack
 from fbn_tracking.parameters import CompositeParameters, TrackingParameters
 from fbn_tracking.track import Memory, Track
-from fbn_tracking.window import Base, Window, drift_prior
+from fbn_tracking.window import Base, Window
 
 
 def choose_cut(window: Window, nursery: Nursery, par: CompositeParameters) -> int | None:
@@ -56,11 +57,11 @@ def handover(part: Part, last: int) -> Base:
     """
     covariance = np.zeros((7, 7))
     covariance[:4, :4] = part.covariance[6:10, 6:10]
-    covariance[4:, 4:] = drift_prior(part.pings[last].motion)
+    motion, deviation = part.pings[last].motion, part.window.base.deviation
+    covariance[4:, 4:] = drift_prior(motion)
     mean = np.concatenate((part.mean[6:10], np.zeros(3)))
-    return Base(
-        orthonormal(part.estimate.T(last)), mean, 0.5 * (covariance + covariance.T), False, part.window.base.deviation
-    )
+    T, covariance = orthonormal(part.estimate.T(last)), 0.5 * (covariance + covariance.T)
+    return Base(T, mean, covariance, False, deviation, regression(motion, deviation))
 
 
 def carried_poses(window: Window, part: Part, last: int) -> Array:

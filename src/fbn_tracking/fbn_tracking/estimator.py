@@ -12,7 +12,7 @@ from fbn_common.records import Innovation, PingMotion, Record, SonarDetections, 
 from fbn_common.types import NS, nanoseconds
 from fbn_tracking.composite import compose
 from fbn_tracking.cut import choose_cut, cut
-from fbn_tracking.heading import deviation_variance
+from fbn_tracking.heading import deviation_variance, drift_prior, regression
 from fbn_tracking.intake import Intake, refusal, usable
 from fbn_tracking.nursery import Nursery
 from fbn_tracking.parameters import TrackingParameters
@@ -21,7 +21,7 @@ from fbn_tracking.rehearsal import rehearsal
 from fbn_tracking.scan import Scanner
 from fbn_tracking.track import Detection, Track, first_ping, make_look, next_ping, pose_matrix
 from fbn_tracking.warm_up import warm_up
-from fbn_tracking.window import Base, Window, drift_prior
+from fbn_tracking.window import Base, Window
 
 _WIDE = np.array([1e3, 30.0, 30.0, 30.0])  # m, rad: what is put in at the base of a chain; its own earth says more
 _FRAME = "odom"
@@ -161,7 +161,7 @@ class Tracking:
         mean = np.concatenate((motion.earth, np.zeros(3)))
         covariance = np.diag(np.concatenate((_WIDE**2, np.zeros(3))))
         covariance[4:, 4:] = drift_prior(motion)
-        base = Base(pose_matrix(motion.pose), mean, covariance, True, deviation)
+        base = Base(pose_matrix(motion.pose), mean, covariance, True, deviation, regression(motion, deviation))
         return Window(base, {ping.index: ping}, self.parameters.feature.weak_theta_sigma)
 
     def _smooth(self, window: Window) -> None:

@@ -3,20 +3,27 @@
 Dead reckoning's covariance of yaw holds the deviation's variance.  Its earth measurements are stated as if each ping
 learnt anew, and a chain of them alone has the right covariance; but tracked features tie headings to one another, and
 then the smoother would average what does not average.  So a window is estimated *given* the deviation, with all else
-that is known of the earth frame, and what it hands out is turned about its base by the deviation's variance (Schmidt):
-nothing else in a window depends on where north is.  See docs/equations/tracking.md.
+that is known of the earth frame, and what it hands out is turned about its base by the deviation (Schmidt): nothing
+else in a window depends on where north is, but the drift, with which the deviation was learnt under GPS.  See
+docs/equations/tracking.md.
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fbn_common.lie import matrix_from_quaternion, rpy_from_matrix, rpy_jacobian, skew
 from fbn_common.motion_ekf.adopt import gained_information
 from fbn_common.records import PingMotion
-from fbn_common.types import Array, Mat3, Mat4, Mat6
+from fbn_common.types import Array, Mat3, Mat4, Mat6, Vec3
+
+if TYPE_CHECKING:
+    from fbn_tracking.window import Base
 
 _YAW = 3  # within z, roll, pitch, yaw
+_LEAST_DRIFT = 1e-8  # m^2/s^2
 _MOST = 0.9  # of what is unknown of yaw given all else can be deviation: a covariance stays positive
 
 
@@ -60,23 +67,52 @@ def carried(before: PingMotion, after: PingMotion, covariance: Mat4, white: Mat6
     return np.asarray(0.5 * (out + out.T))
 
 
-def turned(mean: Array, covariance: Array, variance: float) -> Array:
-    """A composite's covariance with its base's deviation unknown: all of it may be turned about the base.
+def regression(motion: PingMotion, variance: float) -> Vec3:
+    """By how much yaw's lasting error goes with each part of the drift (3,) [rad s/m], ``E(deviation | drift)``.
 
-    Order of both as in ``CompositeMeasurement``; x and y are relative to the base [m].
+    ``variance`` [rad^2] of it is believed; the correlation is dead reckoning's.
+    """
+    if variance == 0.0 or motion.heading_deviation == 0.0:
+        return np.zeros(3)
+    gain = np.linalg.solve(drift_prior(motion), motion.heading_drift)
+    explained = float(gain @ motion.heading_drift) / motion.heading_deviation**2
+    return np.asarray(gain * np.sqrt(variance / max(1.0, explained)) / motion.heading_deviation)
+
+
+def drift_prior(motion: PingMotion) -> Mat3:
+    """Covariance (3, 3) [m^2/s^2] of the drift at a window's start: what dead reckoning states, kept invertible."""
+    return np.asarray(motion.drift_covariance + _LEAST_DRIFT * np.eye(3))
+
+
+def turned(mean: Array, covariance: Array, base: Base) -> tuple[Array, Array]:
+    """A composite's mean and covariance with its base's deviation unknown: all of it is turned about the base.
+
+    By ``by_drift`` of what the window learnt of the drift, and by what that leaves unknown.  Order of both as in
+    ``CompositeMeasurement``; x and y are relative to the base [m].
     """
     turn = np.zeros(len(mean))
     turn[[3, 9]] = 1.0
     for x in (4, *range(10, len(mean) - 3, 3)):
         turn[x], turn[x + 1] = -mean[x + 1], mean[x]
-    return np.asarray(covariance + variance * np.outer(turn, turn))
+    A = np.eye(len(mean))
+    A[:, -3:] += np.outer(turn, base.by_drift)
+    learnt = float(base.by_drift @ (mean[-3:] - base.mean[4:]))
+    out = A @ covariance @ A.T + _left(base) * np.outer(turn, turn)
+    return mean + learnt * turn, 0.5 * (out + out.T)
 
 
-def turned_prior(covariance: Array, variance: float) -> Array:
-    """The same of the prior at a base: z, roll, pitch, yaw, drift (7, 7)."""
-    out = covariance.copy()
-    out[_YAW, _YAW] += variance
-    return out
+def turned_prior(base: Base) -> Array:
+    """The same of the prior at a base: covariance of z, roll, pitch, yaw, drift (7, 7)."""
+    A = np.eye(7)
+    A[_YAW, 4:] = base.by_drift
+    out = A @ base.covariance @ A.T
+    out[_YAW, _YAW] += _left(base)
+    return np.asarray(0.5 * (out + out.T))
+
+
+def _left(base: Base) -> float:
+    """Variance of the deviation, the drift being known [rad^2]."""
+    return max(0.0, base.deviation - float(base.by_drift @ base.covariance[4:, 4:] @ base.by_drift))
 
 
 def _rotation(orientation: Array) -> Mat3:

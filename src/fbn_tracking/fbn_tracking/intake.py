@@ -29,6 +29,7 @@ def motion_fault(motion: PingMotion) -> str:
         "earth_covariance": motion.earth_covariance,
         "drift_covariance": motion.drift_covariance,
         "altitude": np.array([motion.altitude, motion.altitude_variance, motion.drift_time_constant]),
+        "heading_drift": motion.heading_drift,
         "heading_deviation": np.array([motion.heading_deviation]),
     }
     shapes = {"increment_covariance": (6, 6), "earth": (4,), "earth_information": (4, 4), "earth_covariance": (4, 4)}

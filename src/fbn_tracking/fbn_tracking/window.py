@@ -10,15 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fbn_common.records import PingMotion
-from fbn_common.types import Array, Mat3, Mat4, Vec3
+from fbn_common.types import Array, Mat4, Vec3
 from fbn_tracking import factors
 from fbn_tracking.geometry import anchored_point
 from fbn_tracking.solver import Solution, solve
 from fbn_tracking.system import Estimate, State, System, base_row
 from fbn_tracking.track import Detection, Ping, Track
-
-_LEAST_DRIFT = 1e-8  # m^2/s^2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +23,8 @@ class Base:
     """What is put in from outside at a window's first pose: z, roll, pitch, yaw and drift (7), and its covariance.
 
     ``fresh``: the first of a chain, whose own earth measurement belongs to the window too.  ``deviation``: variance
-    of yaw's error that stays [rad^2]; the covariance is that given this error.
+    of yaw's error that stays [rad^2]; the covariance is that given this error.  ``by_drift``: how much of that error
+    goes with the drift (3,) [rad s/m].
     """
 
     T: Mat4
@@ -34,6 +32,7 @@ class Base:
     covariance: Array
     fresh: bool
     deviation: float = 0.0
+    by_drift: Vec3 = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(slots=True, eq=False)
@@ -170,11 +169,6 @@ class Window:
         for track in self.features.values():
             system.add_feature(track, self.first)
         return system
-
-
-def drift_prior(motion: PingMotion) -> Mat3:
-    """Covariance (3, 3) [m^2/s^2] of the drift at a window's start: what dead reckoning states, kept invertible."""
-    return np.asarray(motion.drift_covariance + _LEAST_DRIFT * np.eye(3))
 
 
 def propagate(T: Mat4, drift: Vec3, ping: Ping) -> Mat4:

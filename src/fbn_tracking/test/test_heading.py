@@ -17,7 +17,17 @@ from fbn_common.lie import (
 )
 from fbn_common.records import Pose
 from fbn_tracking.estimator import Tracking
-from fbn_tracking.heading import carried, deviation_variance, given_deviation, information_given_deviation, turned
+from fbn_tracking.heading import (
+    carried,
+    deviation_variance,
+    drift_prior,
+    given_deviation,
+    information_given_deviation,
+    regression,
+    turned,
+    turned_prior,
+)
+from fbn_tracking.window import Base
 
 DEVIATION = 0.026
 
@@ -81,7 +91,47 @@ def test_the_whole_composite_turns_about_its_base():
     moved[[3, 9]] += angle
     moved[4:6], moved[10:12] = R @ mean[4:6], R @ mean[10:12]
     expected = np.outer(moved - mean, moved - mean)
-    np.testing.assert_allclose(turned(mean, np.zeros((16, 16)), angle**2), expected, atol=1e-16)
+    base = Base(np.eye(4), np.zeros(7), np.eye(7), True, angle**2)
+    np.testing.assert_allclose(turned(mean, np.zeros((16, 16)), base)[1], expected, atol=1e-16)
+
+
+def test_what_a_window_learns_of_the_drift_tells_of_the_deviation_as_their_joint_gaussian_says(pings):
+    """GPS on one heading learnt the two together; then the drift alone is measured, and all else that turns is known.
+
+    Independent computation: the Kalman update of (drift, deviation) by that measurement.
+    """
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(4, 4)) * np.array([[0.05], [0.04], [0.02], [DEVIATION]])
+    joint = root @ root.T  # drift 3, deviation
+    motion = replace(
+        pings[0],
+        drift_covariance=joint[:3, :3],
+        heading_deviation=float(np.sqrt(joint[3, 3])),
+        heading_drift=joint[:3, 3],
+    )
+    noise, seen = np.diag([0.01, 0.02, 0.02]) ** 2, np.array([0.03, -0.05, 0.01])
+    gain = joint[:, :3] @ np.linalg.inv(joint[:3, :3] + noise)
+    expected, left = gain @ seen, joint - gain @ joint[:3]
+
+    prior = np.zeros((7, 7))
+    prior[4:, 4:] = drift_prior(motion)
+    base = Base(np.eye(4), np.zeros(7), prior, False, float(joint[3, 3]), regression(motion, float(joint[3, 3])))
+    mean, covariance = np.zeros(13), np.zeros((13, 13))
+    mean[4:6], mean[-3:], covariance[-3:, -3:] = [20.0, 5.0], expected[:3], left[:3, :3]
+    out, spread = turned(mean, covariance, base)
+    # the prior's 1e-8 m^2/s^2, which keep it invertible, are 1e-4 of the least variance here
+    np.testing.assert_allclose(out[[3, 9]], expected[3], rtol=1e-3)
+    np.testing.assert_allclose(out[4:6] - mean[4:6], expected[3] * np.array([-5.0, 20.0]), rtol=1e-3)
+    np.testing.assert_allclose(spread[3, 3], left[3, 3], rtol=1e-3)
+    np.testing.assert_allclose(spread[3, -3:], left[3, :3], rtol=1e-3, atol=1e-8)
+    np.testing.assert_allclose(turned_prior(base)[3:, 3:][:, [1, 2, 3, 0]][[1, 2, 3, 0]], joint, rtol=1e-3, atol=2e-8)
+
+
+def test_a_correlation_beyond_one_is_taken_for_one(pings):
+    """A rounding of the publisher's must not make a variance negative."""
+    motion = replace(pings[0], heading_deviation=DEVIATION, heading_drift=np.array([1.1 * DEVIATION * 0.1, 0.0, 0.0]))
+    by_drift = regression(motion, DEVIATION**2)
+    assert by_drift @ drift_prior(motion) @ by_drift == pytest.approx(DEVIATION**2)
 
 
 def test_features_do_not_average_the_deviation_away():
