@@ -31,6 +31,7 @@ class Surroundings:
     pings: Mapping[int, Ping]
     slack: Mat2
     feature: FeatureParameters
+    drift: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # with which the poses were found [m/s]
     arrays: dict[tuple[int, str], tuple[Mat3, Vec3]] = field(default_factory=dict)  # filled as they are asked for
 
     def array(self, look: Look) -> tuple[Mat3, Vec3]:

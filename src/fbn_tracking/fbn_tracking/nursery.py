@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import log
+from math import dist, log
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from fbn_tracking.parameters import TrackingParameters
 from fbn_tracking.track import Detection, Track
 from fbn_tracking.window import Window
 
-_STALE = 0.05  # m, the range's own sigma: by how much poses may have moved under an infant
+_STALE = 0.05  # m, the range's own sigma: by how much the way since its first echo may have changed under an infant
 _CERTAIN = 50.0  # score of what has graduated once
 _SIZE = 0.05  # m, of a thing
 _SAME_PLACE = float(chi_square.bound(0.99, 2))
@@ -31,8 +31,6 @@ class Nursery:
         self.infants: dict[int, Track] = {}
         self.counts: Counter[str] = Counter()
         self._next_key = 1
-        self._placed: Window | None = None  # the window by which infants stand where they stand,
-        self._placed_drift = np.zeros(3)  # and its drift then
 
     def born(self, detection: Detection) -> None:
         """A new infant from one echo; beyond the limit the least likely infant makes room."""
@@ -60,22 +58,25 @@ class Nursery:
     def refresh(self, tracks: list[Track], around: Surroundings) -> None:
         """Move tracks to their likeliest places, given the poses; ask those that may graduate whether they move."""
         for track in tracks:
-            track.modes = find_modes(track, around)
+            track.modes, track.placed_drift = find_modes(track, around), around.drift
             if track.memory is None and len(track.detections) >= self.parameters.infant.detections_at_end:
                 track.motion = of_track(track, around)
 
     def follow(self, window: Window, drift_covariance: Mat3) -> None:
-        """Place all infants anew where the smoother has moved the poses under them: after a cut, as it learns drift."""
-        drift, span = window.drift(), (window.pings[window.last].stamp_ns - window.pings[window.first].stamp_ns) / NS
-        if self._placed is window and float(np.abs(drift - self._placed_drift).max()) * span < _STALE:
-            return
-        self._placed, self._placed_drift = window, drift.copy()
-        self.refresh(list(self.infants.values()), self.around(window, drift_covariance))
+        """Place infants anew whose way to here the smoother has changed since, as it learnt the drift."""
+        drift, now_ns = window.drift().tolist(), window.pings[window.last].stamp_ns
+        left = [t for t in self.infants.values() if _moved(t, drift, now_ns) > _STALE]
+        if left:
+            self.refresh(left, self.around(window, drift_covariance))
 
     def around(self, window: Window, drift_covariance: Mat3) -> Surroundings:
         """The poses as they now are."""
         return Surroundings(
-            window.estimate.poses(), window.pings, slack(window, drift_covariance), self.parameters.feature
+            window.estimate.poses(),
+            window.pings,
+            slack(window, drift_covariance),
+            self.parameters.feature,
+            window.drift().tolist(),
         )
 
     def tend(self, window: Window, now_ns: int) -> None:
@@ -170,6 +171,12 @@ class Nursery:
         track.score = _CERTAIN
         window.add_feature(track, track.modes[0].x[:3].copy())
         self.counts["graduated_again" if track.memory is not None else "graduated"] += 1
+
+
+def _moved(track: Track, drift: list[float], now_ns: int) -> float:
+    """How far the way since a track's first echo of the window has moved under it, with the drift [m]."""
+    since = track.detections[0].stamp_ns if track.detections else track.last_seen_ns
+    return dist(drift, track.placed_drift) * (now_ns - since) / NS
 
 
 def slack(window: Window, drift_covariance: Mat3) -> Mat2:

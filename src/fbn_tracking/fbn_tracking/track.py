@@ -108,6 +108,7 @@ class Track:
     detections: list[Detection] = field(default_factory=list)  # in this window
     misses: list[Look] = field(default_factory=list)  # looks of this window that should have seen it and did not
     modes: list[Mode] = field(default_factory=list)  # likeliest first
+    placed_drift: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # of their poses [m/s]
     motion: MotionCheck | None = None  # of an infant with enough detections
     memory: Memory | None = None
     graduated: bool = False  # its variable is in the graph
