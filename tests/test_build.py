@@ -31,7 +31,7 @@ CONTRACT = {
     " jacobian_velocity jacobian_attitude jacobian_parameters noise",
     "VehicleParameters": "header mean covariance further further_covariance",
     "PingMotion": "header previous increment increment_covariance pose earth earth_information earth_covariance"
-    " velocity altitude altitude_variance drift_covariance drift_time_constant heading_deviation",
+    " velocity altitude altitude_variance drift_covariance drift_time_constant heading_deviation heading_drift",
     "ReferenceFix": "header xy covariance marginal",
     "Datum": "header latitude longitude height",
     "Innovation": "header sensor innovation sigma nis dof verdict reason",
