@@ -142,6 +142,23 @@ def test_multipath_for_seconds_is_gated(sailed: Sailed, surfaced: Twin) -> None:
     assert np.linalg.norm(last.pose.position[:2] - surfaced.position[surfaced.index(last.stamp_ns), :2]) < 4.0
 
 
+def test_first_fixes_that_were_off_by_a_jump_are_not_taken_for_a_current(sailed: Sailed) -> None:
+    """The gate, shut at first to the good fixes, grows by what is not known of the water until it holds the jump."""
+    twin = sail(PredictParameters(), 60.0, 0, depth=0.7)
+    jumped = [
+        (t, n, fix(twin, r.stamp_ns, 1.9, (12.0, 4.0)) if isinstance(r, NavSatFix) and t < START_NS + 8e9 else r)
+        for t, n, r in fixes(twin)
+    ]
+    outputs, reference = sailed(jumped, ReferenceParameters(map=AT_DATUM))
+    assert [a.reason for a in answers(outputs, "gps")].count("gate reset after consistent outliers") == 1
+    water = reference.ekf.state.x[X_PARAMETERS + 12 : X_PARAMETERS + 14] - twin.parameters[12:14]
+    assert (
+        np.linalg.norm(water) < 0.3
+    )  # two sigmas of what was known of the water before; 0.4 if the jump had taught it
+    last = lines(outputs)[-1]
+    assert np.linalg.norm(last.pose.position[:2] - twin.position[twin.index(last.stamp_ns), :2]) < 4.0
+
+
 def test_current_is_estimated_from_fixes(sailed: Sailed) -> None:
     # Fixes without error, so the filter is more careful than it need be: only the upper bound is chi-square's.
     # The twin's water has no top layer, and at one depth nothing could tell it from the water below.

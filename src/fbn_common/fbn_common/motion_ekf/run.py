@@ -32,6 +32,7 @@ _USED, _GATED, _REFUSED = int(Verdict.USED), int(Verdict.GATED), int(Verdict.REF
 _NONE, _GATE, _RULE = int(Reason.NONE), int(Reason.GATE), int(Reason.RULE)
 _UNDER_WATER, _DROPPED, _RESET = int(Reason.UNDER_WATER), int(Reason.DROPPED), int(Reason.RESET)
 _SINGULAR, _BASE, _TILTED = int(Reason.SINGULAR), int(Reason.BASE), int(Reason.TILTED)
+_RUN = 3.0  # outliers in a row that agree with each other are not chance
 _STALE_BASE = 3.0  # baselines after which an altitude is no base any more
 _POSITION, _RANGE, _PARAMETERS = int(Kind.POSITION), int(Kind.RANGE), int(Kind.PARAMETERS)
 _COMPASS, _CLIMB = int(Kind.COMPASS), int(Kind.CLIMB)
@@ -67,6 +68,15 @@ def _consistent(row: Array, nu: Array, noise: Array, m: int, gate: float) -> boo
     for i in range(m):
         total += (nu[i] - row[LAST + i]) ** 2 / (2.0 * noise[i, i])
     return total < gate
+
+
+@kernel
+def _grown_into(row: Array, nu: Array, noise: Array, m: int, gate: float) -> bool:
+    """Whether a fix within the gate is one more of the consistent outliers before it, to which the gate has grown.
+
+    One of the two lots is off by a jump; it says nothing of the velocity, by whose doubt the gate grew.
+    """
+    return row[GATED_RUN] >= _RUN and _consistent(row, nu, noise, m, gate)
 
 
 @kernel
@@ -170,6 +180,9 @@ def measure(e: int, x: Array, p: Array, sensors: Array, events: Events, config: 
         events.verdict[e], events.reason[e] = _GATED, reason
         if reason != _RESET:
             return
+    elif kind == _POSITION and _grown_into(sensors[s], nu, noise, m, config.gate[m, kind]):
+        reason = _RESET
+    if reason == _RESET:
         _open(p, kind, nu, m)
         hp = project(p, columns, h, m, k)
         factor = innovation_covariance(hp, columns, h, noise, m, k)
