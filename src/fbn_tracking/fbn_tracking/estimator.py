@@ -165,9 +165,13 @@ class Tracking:
         return Window(base, {ping.index: ping}, self.parameters.feature.weak_theta_sigma)
 
     def _smooth(self, window: Window) -> None:
-        before = window.failures
         window.update()
-        self._counts["smoother_failures"] += window.failures - before
+        self._note_failures(window)
+
+    def _note_failures(self, window: Window) -> None:
+        """Count what has failed in a window since it was last asked, wherever it was smoothed."""
+        self._counts["smoother_failures"] += window.failures
+        window.failures = 0
 
     # --- scans ---
 
@@ -222,14 +226,17 @@ class Tracking:
 
     def _divide(self, last: int) -> list[Output]:
         assert self._window is not None
+        old = self._window
         try:
-            part, self._window = cut(self._window, last, self._nursery, self.parameters)
+            part, self._window = cut(old, last, self._nursery, self.parameters)
         except (RuntimeError, np.linalg.LinAlgError) as error:
+            self._note_failures(old)
             self._counts["composites_failed"] += 1
-            self._window = self._start(self._window.pings[self._window.last].motion)
+            self._window = self._start(old.pings[old.last].motion)
             self._nursery.clear()
             text = f"composite failed: {str(error).splitlines()[0]}"
             return self._answer([refusal("composite", self._last_ns, Verdict.REFUSED, text)])
+        self._note_failures(old)
         self._smooth(self._window)
         composite = compose(part, self._sequence, self.parameters.composite.cell_size, _FRAME)
         self._sequence += 1
