@@ -41,6 +41,7 @@ from fbn_testing.gtsam_window import (
     track_factor,
     values_of,
 )
+from fbn_testing.seeds import seed_range
 from fbn_tracking.estimator import Tracking
 from fbn_tracking.window import Window
 
@@ -314,7 +315,7 @@ def main() -> int:
     if given.hours:
         flat(given.hours, given.figure)
     elif given.seeds:
-        seeds = range(*(int(n) for n in given.seeds.split(":")))
+        seeds = seed_range(given.seeds)
         for rate, density in ((2.0, 1), (4.0, 2)):
             console.print(speed_over(rate, density, seeds, given.limit), "")
     else:

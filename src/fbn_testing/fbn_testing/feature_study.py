@@ -31,7 +31,7 @@ from fbn_testing.feature_figures import Section, draw_sections
 from fbn_testing.feature_judge import Verdict, judge
 from fbn_testing.feature_runs import Heard, Outcome, hear, track
 from fbn_testing.feature_story import PASSAGE, draw_story, off_lobe, stories
-from fbn_testing.seeds import How, add_options, run_seeds
+from fbn_testing.seeds import How, add_options, run_seeds, seed_range
 
 console = Console(highlight=False, width=150)
 CUBIC, LINEAR = {"feature.elevation": "cubic"}, {"feature.elevation": "linear"}
@@ -92,14 +92,14 @@ def main() -> None:
     parser.add_argument("--story", type=Path, help="PNG: a feature of the first seed, from its first echo on")
     add_options(parser)
     given = parser.parse_args()
-    first, last = (int(n) for n in given.seeds.split(":"))
+    seeds = seed_range(given.seeds)
     if given.story:
-        draw_story(off_lobe(stories(hear("depth_of_features", first, PASSAGE))), given.story)
+        draw_story(off_lobe(stories(hear("depth_of_features", seeds[0], PASSAGE))), given.story)
     chosen = STUDIES[given.study]
-    missions = run_seeds(partial(mission, chosen), range(first, last), "missions", How(given.jobs, given.keep))
+    missions = run_seeds(partial(mission, chosen), seeds, "missions", How(given.jobs, given.keep))
     verdicts = {name: [m.verdicts[name] for m in missions] for name in chosen.variants}
     if given.figure:
-        draw_sections([Section(*named) for named in outcomes(chosen, first)], given.figure)
+        draw_sections([Section(*named) for named in outcomes(chosen, seeds[0])], given.figure)
     for table in (places(verdicts), found(verdicts), drift(verdicts)):
         console.print(table, "")
     console.print(f"[dim]{np.mean([m.cpu_s for m in missions]):.1f} s of CPU time a seed")

@@ -21,13 +21,21 @@ from fbn_bringup.evaluation.series import track
 from fbn_bringup.simulation import estimator_parameters
 from fbn_bringup.ui import number, out, table
 from fbn_common.parameters import dotted
-from fbn_common.records import Odometry
 from fbn_common.types import NS
 from fbn_sim.scenario import load_scenario
 from fbn_sim.simulation import Simulation, simulate
-from fbn_testing.motion_study import assignments, seed_range
-from fbn_testing.motion_voyage import NEAR_SURFACE, front_half, in_map, navigate, nees_of, nis_by_sensor
-from fbn_testing.seeds import How, add_options, run_seeds
+from fbn_testing.motion_study import assignments
+from fbn_testing.motion_voyage import (
+    NEAR_SURFACE,
+    front_half,
+    in_map,
+    navigate,
+    nees_of,
+    nis_by_sensor,
+    true_depth,
+    true_track,
+)
+from fbn_testing.seeds import How, add_options, run_seeds, seed_range
 
 SETTLED_S = 60.0  # what the start assumed is not judged
 PARTS = {"z": slice(2, 3), "roll, pitch": slice(3, 5), "yaw": slice(5, 6), "x, y since the start": slice(0, 2)}
@@ -49,9 +57,7 @@ def beginning(scenario: str, seconds: float, settings: Mapping[str, Any], seed: 
     own = {name: v for name, v in dotted(estimator_parameters(simulation)).items() if _of_front_half(name)}
     estimators = front_half({**own, **in_map(simulation.scenario.world.datum), **settings})
     kept = navigate(estimators, takewhile(lambda arrival: arrival[0] <= end_ns, simulation.records()))
-    true = track(
-        [e.record for e in simulation.entries if e.topic == "truth/odometry" and isinstance(e.record, Odometry)]
-    )
+    true = true_track(simulation)
     odometry = track(kept.odometry["deadreck"]).within(true)
     errors = against(aligned(odometry, true, int(odometry.stamp_ns[0])), true)
     return Judged(_parts(simulation, errors), nis_by_sensor(simulation, kept))
@@ -62,9 +68,8 @@ def _of_front_half(name: str) -> bool:
 
 
 def _parts(simulation: Simulation, errors: ErrorSeries) -> dict[tuple[str, str], tuple[float, float, float]]:
-    motion = simulation.truth.motion
     time_s = (errors.track.stamp_ns - simulation.truth.start_ns) / NS
-    depth = -np.interp(time_s, motion.time_s, motion.position[:, 2])
+    depth = true_depth(simulation, errors.track.stamp_ns)
     found = {}
     for where, there in (("at the surface", depth < NEAR_SURFACE), ("under water", depth >= NEAR_SURFACE)):
         rows = np.flatnonzero(there & (time_s > SETTLED_S))

@@ -26,7 +26,7 @@ from fbn_bringup.ui import number, out, progress, table
 from fbn_common import chi_square
 from fbn_testing.motion_faults import BEGIN_S, END_S, KINDS, SENSORS, Cell, cell, heard_with, listen, voyage
 from fbn_testing.motion_voyage import NIS_GROUPS, Judged, front_half, in_map, judge, navigate, transit
-from fbn_testing.seeds import How, add_options, run_seeds
+from fbn_testing.seeds import How, add_options, run_seeds, seed_range
 
 MEASURES = {
     "drift_percent": "dead reckoning's error [% of distance]",
@@ -159,12 +159,6 @@ def fault_report(rows: list[Cell]) -> None:
         )
     shown.caption = "sigmas: largest error of position at the end over its own standard deviation"
     out.print(shown)
-
-
-def seed_range(text: str) -> range:
-    """``a:b`` as Python's range, or one seed."""
-    first, colon, last = text.partition(":")
-    return range(int(first), int(last)) if colon else range(int(first), int(first) + 1)
 
 
 def assignments(texts: Iterable[str]) -> dict[str, Any]:

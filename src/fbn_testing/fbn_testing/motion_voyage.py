@@ -105,9 +105,7 @@ def judge(simulation: Simulation, kept: Kept) -> Judged:
     """Errors, and whether they were announced, over the transit: the mission's longest dive."""
     dive = max(simulation.dives, key=lambda d: d.end_ns - d.start_ns)
     leg = Dive(1, dive.start_ns, dive.end_ns)
-    true = track(
-        [e.record for e in simulation.entries if e.topic == "truth/odometry" and isinstance(e.record, Odometry)]
-    )
+    true = true_track(simulation)
     deadreck, reference = track(kept.odometry["deadreck"]), track(kept.odometry["reference"])
     first = true.at(deadreck.stamp_ns[:1]).position[0] - deadreck.position[0]
     own = against(deadreck.shifted(first), true)
@@ -132,6 +130,19 @@ def judge(simulation: Simulation, kept: Kept) -> Judged:
     values |= _water(simulation, kept, leg)
     sigma = np.sqrt(np.linalg.eigvalsh(own.track.covariance[within][:, :2, :2])[:, -1])
     return Judged(values, nis_by_sensor(simulation, kept), distance, np.asarray(np.linalg.norm(grown, axis=1)), sigma)
+
+
+def true_track(simulation: Simulation) -> Track:
+    """The true way, as it was logged."""
+    return track(
+        [e.record for e in simulation.entries if e.topic == "truth/odometry" and isinstance(e.record, Odometry)]
+    )
+
+
+def true_depth(simulation: Simulation, stamp_ns: Stamps) -> Array:
+    """The vehicle's true depth [m] at these stamps (n,)."""
+    motion, start_ns = simulation.truth.motion, simulation.truth.start_ns
+    return np.asarray(-np.interp((stamp_ns - start_ns) / NS, motion.time_s, motion.position[:, 2]))
 
 
 def _rows(errors: ErrorSeries, leg: Dive) -> Stamps:
@@ -169,12 +180,11 @@ def _water(simulation: Simulation, kept: Kept, leg: Dive) -> dict[str, float]:
 def nis_by_sensor(simulation: Simulation, kept: Kept) -> dict[str, tuple[float, int]]:
     """NIS of dead reckoning's sensors and of the reference filter's fixes, the compass's by depth."""
     found = dict.fromkeys(NIS_GROUPS, (0.0, 0))
-    motion, start = simulation.truth.motion, simulation.truth.start_ns
     for (node, sensor), answers in kept.answers.items():
         if (node == "reference") != (sensor == "gps"):
             continue
         stamps, squares, dof = (np.array(column) for column in zip(*answers, strict=True))
-        depth = -np.interp((stamps - start) / NS, motion.time_s, motion.position[:, 2])
+        depth = true_depth(simulation, stamps)
         for name in NIS_GROUPS:
             if not name.startswith(sensor):
                 continue
@@ -196,4 +206,6 @@ __all__ = [
     "nees_of",
     "nis_by_sensor",
     "transit",
+    "true_depth",
+    "true_track",
 ]

@@ -148,13 +148,14 @@ def outliers(trial: Trial, truth: Fit, beacon: str) -> float:
 def main() -> None:
     """Run all trials and starts and print their table."""
     lines = [(name, sigma) for name, sigmas in STARTS.items() for sigma in sigmas]
+    trials = {name: read(name) for name in STARTS}
+    truths = {name: fit(trial) for name, trial in trials.items()}
     titles = ("start [m]", "median [m]", "90 %", "at the end", "sigma", "NIS", *BEACONS)
     shown = table("Ranges of a sea trial", "log", *(t.replace("[", "\\[") for t in titles))
     with progress("sea trial") as advance:
         for i, (name, sigma) in enumerate(lines):
             advance(i / len(lines), f"{name}, {sigma:g} m")
-            trial = read(name)
-            truth = fit(trial)
+            trial, truth = trials[name], truths[name]
             shown.add_row(name, f"{sigma:g}", *_cells(trial, truth, run(trial, truth, sigma)))
     shown.caption = "each beacon: ranges used / refused, and the share more than 5 m off the fit"
     out.print(shown)

@@ -28,6 +28,12 @@ class How:
     keep: Path | None = None
 
 
+def seed_range(text: str) -> range:
+    """``a:b`` as Python's range, or one seed."""
+    first, colon, last = text.partition(":")
+    return range(int(first), int(last)) if colon else range(int(first), int(first) + 1)
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """``--jobs`` and ``--keep`` on a study's command line."""
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")

@@ -25,6 +25,7 @@ from rich.table import Table
 from fbn_common.types import Array, nanoseconds
 from fbn_testing.feature_runs import Heard, hear, tracker_of
 from fbn_testing.gtsam_window import DRIFT, feature_key, graph_of, pose_key, values_of
+from fbn_testing.seeds import seed_range
 from fbn_testing.square_root import (
     Conditions,
     Errors,
@@ -162,15 +163,15 @@ def main() -> None:
     parser.add_argument("--seeds", default="0:10", help="first:last, the last one excluded")
     parser.add_argument("--figure", type=Path, help="PNG: errors over condition numbers")
     given = parser.parse_args()
-    first, last = (int(n) for n in given.seeds.split(":"))
+    seeds = seed_range(given.seeds)
     began, cases = time.process_time(), list[Case]()
-    for seed in progress(range(first, last), description="missions", console=Console(stderr=True)):
+    for seed in progress(seeds, description="missions", console=Console(stderr=True)):
         for length, window in windows(hear("depth_of_features", seed, {"mission.limit": LIMIT_S})):
             cases += examine(linearised(window), length)
     console.print(table(cases))
     if given.figure:
         draw(cases, given.figure)
-    console.print(f"[dim]{(time.process_time() - began) / (last - first):.1f} s of CPU time a seed")
+    console.print(f"[dim]{(time.process_time() - began) / len(seeds):.1f} s of CPU time a seed")
 
 
 if __name__ == "__main__":
