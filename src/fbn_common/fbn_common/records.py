@@ -14,9 +14,11 @@ perturbs on the right: ``R Exp(theta)``.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, ClassVar
+from math import prod
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -47,6 +49,71 @@ class Record:
 
     ros_type: ClassVar[str] = ""
     stamp_ns: int
+
+
+class Run(NamedTuple):
+    """Where a field is among a message's numbers: ``numbers[start:stop]``; a shape of None is a :class:`Pose`."""
+
+    start: int
+    stop: int
+    shape: tuple[int, ...] | None
+
+
+def _layout(**shapes: tuple[int, ...] | None) -> dict[str, Run]:
+    runs, stop = {}, 0
+    for name, shape in shapes.items():
+        start, stop = stop, stop + (7 if shape is None else prod(shape))
+        runs[name] = Run(start, stop, shape)
+    return runs
+
+
+class Packed(Record):
+    """A record of many numbers, which come by the hundred a second and are mostly passed on without a look at them.
+
+    It is made of its fields, as every record is, or of all its ``numbers`` in one run, in the order of its message
+    (:attr:`layout`); what it was not made of is made when somebody asks for it.
+    """
+
+    __slots__ = ("numbers",)
+    layout: ClassVar[dict[str, Run]]
+    numbers: Array
+
+    @classmethod
+    def packed(cls, numbers: Array, **others: object) -> Self:
+        """One of these numbers (n,), kept and not copied, and of the fields that are not among them."""
+        record = object.__new__(cls)
+        object.__setattr__(record, "numbers", numbers)
+        for name, value in others.items():
+            object.__setattr__(record, name, value)
+        return record
+
+    if not TYPE_CHECKING:  # a checker is to know the fields by their own types, and no others
+
+        def __getattr__(self, name):
+            value = self._numbers() if name == "numbers" else self._field(name)
+            object.__setattr__(self, name, value)
+            return value
+
+    def _numbers(self) -> Array:
+        parts = []
+        for name, run in self.layout.items():
+            value = getattr(self, name)
+            parts += [value] if run.shape is not None else [value.position, value.orientation]
+        return np.concatenate([np.asarray(part, np.float64).ravel() for part in parts])
+
+    def _field(self, name: str) -> Array | Pose:
+        run = self.layout.get(name)
+        if run is None:
+            raise AttributeError(f"{type(self).__name__} has no {name}")
+        start, stop, shape = run
+        if shape is None:
+            return Pose(self.numbers[start : start + 3], self.numbers[start + 3 : stop])
+        return self.numbers[start:stop].reshape(shape)
+
+
+def stacked(records: Iterable[Packed], width: int) -> Array:
+    """The numbers of packed records, one a row (n, width)."""
+    return np.frombuffer(b"".join([record.numbers.data for record in records])).reshape(-1, width)
 
 
 # --- sensors ---------------------------------------------------------------------------------------------
@@ -158,7 +225,7 @@ class SonarDetections(Record):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PredictedMotion(Record):
+class PredictedMotion(Packed):
     """Motion over ``[start_ns, stamp_ns]``; rows of all matrices: increment 3, rotation vector 3, velocity 6.
 
     Velocity is over ground: linear 3 [m/s], angular 3 [rad/s], in the body frame.  Parameters: angular
@@ -166,6 +233,10 @@ class PredictedMotion(Record):
     """
 
     ros_type: ClassVar[str] = "fbn_msgs/msg/PredictedMotion"
+    layout: ClassVar[dict[str, Run]] = _layout(
+        increment=(3,), rotation=(3,), velocity_start=(6,), velocity_end=(6,), parameters=(15,), attitude_start=(4,),
+        jacobian_velocity=(12, 6), jacobian_attitude=(12, 3), jacobian_parameters=(12, 15), noise=(12, 12),
+    )  # fmt: skip
     start_ns: int
     increment: Vec3 = shaped(3)  # m, body frame at start
     rotation: Vec3 = shaped(3)  # rad, body frame at start
@@ -199,10 +270,13 @@ class VehicleParameters(Record):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Odometry(Record):
+class Odometry(Packed):
     """Pose of ``child_frame_id`` in ``frame_id`` and body velocity; covariances in ROS order (fixed axes)."""
 
     ros_type: ClassVar[str] = "nav_msgs/msg/Odometry"
+    layout: ClassVar[dict[str, Run]] = _layout(
+        pose=None, pose_covariance=(6, 6), twist=(6,), twist_covariance=(6, 6)
+    )  # fmt: skip
     frame_id: str
     child_frame_id: str
     pose: Pose

@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from fbn_common.estimator import Health, Level, Output
-from fbn_common.lie import matrix_from_quaternion
 from fbn_common.motion_ekf.adopt import usable_parameters
-from fbn_common.motion_ekf.layout import GRID_NS
-from fbn_common.motion_ekf.monitor import all_finite, refusal
-from fbn_common.records import JointState, Odometry, PredictedMotion, Record, VehicleParameters, Verdict
+from fbn_common.motion_ekf.layout import GRID_NS, M_ATTITUDE, M_NOISE, M_PARAMETERS, MOTION_SIZE, ODOMETRY_SIZE
+from fbn_common.motion_ekf.monitor import refusal
+from fbn_common.records import JointState, Odometry, PredictedMotion, Record, VehicleParameters, Verdict, stacked
 from fbn_common.types import NS, Array, nanoseconds, seconds
 from fbn_predict.commands import Commands, Malformed, actuator_values
 from fbn_predict.dynamics import model_of
 from fbn_predict.habit import Habit
 from fbn_predict.parameters import PredictParameters, prior
-from fbn_predict.roll import Levels, new_ring, new_steps, noise_of_step, roll
+from fbn_predict.roll import BROKEN, FED, UNUSED, Levels, feed, new_ring, noise_of_step, roll
 
 _DT = GRID_NS * 1e-9
 _FRAME = "base_link"
+_FEEDBACK = {FED: "feedback.used", UNUSED: "feedback.unused"}
 MOTION, PARAMETERS, INNOVATIONS = "predict/motion", "predict/parameters", "predict/innovations"
 
 
@@ -64,18 +64,19 @@ class Predict:
             self._reset()
             self._counts["resets"] += 1
         self._now_ns = now_ns
-        changed = restated = self._head_ns
+        restated, fed = self._head_ns, []
         for _, record in inbox:
             if isinstance(record, JointState):
                 stamp, said = self._take_command(record)
                 restated = min(restated, stamp)
+                out += said
             elif isinstance(record, Odometry):
-                stamp, said = self._take_feedback(record)
-                changed = min(changed, stamp)
+                fed.append(record)
             else:
                 assert isinstance(record, VehicleParameters)
-                said = self._take_parameters(record)
-            out += said
+                out += self._take_parameters(record)
+        changed, said = self._take_feedback(fed)
+        out += said
         if self._head_ns < 0:
             self._start(now_ns)
             out.append(self._parameters_now())
@@ -121,23 +122,17 @@ class Predict:
         self._counts["actuators.used"] += 1
         return (record.stamp_ns if self._commands.put(record.stamp_ns, values) else untouched), []
 
-    def _take_feedback(self, record: Odometry) -> tuple[int, list[Output]]:
-        """Dead reckoning's velocity and attitude at a stamp of the grid: our own history is re-run from there."""
-        known = 0 <= self._head_ns - record.stamp_ns <= self._history_ns
-        if (
-            not all_finite(record.twist, record.pose.orientation, record.pose.position)
-            or not record.pose.orientation.any()
-        ):
-            return self._head_ns, [self._say(record.stamp_ns, "deadreck", "not finite")]
-        if not known or record.stamp_ns % GRID_NS != 0 or record.stamp_ns < self._first_ns:
-            self._counts["feedback.unused"] += 1
+    def _take_feedback(self, records: list[Odometry]) -> tuple[int, list[Output]]:
+        """Dead reckoning's velocity and attitude at stamps of the grid; from when on to re-run our own history."""
+        if not records:
             return self._head_ns, []
-        ring, k = self._ring, self._slot(record.stamp_ns)
-        ring.feedback[k] = True
-        ring.velocity_fed[k], ring.depth_fed[k] = record.twist, -record.pose.position[2]
-        ring.attitude_fed[k] = matrix_from_quaternion(record.pose.orientation)
-        self._counts["feedback.used"] += 1
-        return record.stamp_ns, []
+        stamps = [record.stamp_ns for record in records]
+        oldest = max(self._head_ns - self._history_ns, self._first_ns)
+        lines = stacked(records, ODOMETRY_SIZE)
+        verdicts = feed(self._ring, np.array(stamps, np.int64), lines, oldest, self._head_ns).tolist()
+        self._counts.update(_FEEDBACK[verdict] for verdict in verdicts if verdict in _FEEDBACK)
+        said = [self._say(t, "deadreck", "not finite") for t, v in zip(stamps, verdicts, strict=True) if v == BROKEN]
+        return min([self._head_ns, *(t for t, v in zip(stamps, verdicts, strict=True) if v == FED)]), said
 
     def _take_parameters(self, record: VehicleParameters) -> list[Output]:
         """Adopt the reference filter's parameters from the next step on; the velocity is not touched."""
@@ -189,17 +184,17 @@ class Predict:
         """From one stamp of the grid to another; the motions, where they are wanted."""
         n = (end_ns - start_ns) // GRID_NS
         actuators = self._commands.means(start_ns, GRID_NS, n)
-        made = new_steps(n if wanted else 0)
-        roll(self._ring, self._slot(start_ns), actuators, _DT, self.model, self._levels, wanted, made)
+        made = roll(self._ring, self._slot(start_ns), actuators, _DT, self.model, self._levels, wanted)
         if not wanted:
             return []
         if seconds(end_ns - self._commands.in_force_ns(start_ns)) > self.parameters.actuator_timeout:
             ages = self._commands.ages(start_ns, GRID_NS, n)
             for k in np.flatnonzero(ages / NS > self.parameters.actuator_timeout):
-                made.noise[k] += self._silence(made.parameters[k])
-        ends = range(start_ns + GRID_NS, end_ns + GRID_NS, GRID_NS)
+                made[k, M_NOISE:MOTION_SIZE] += self._silence(made[k, M_PARAMETERS:M_ATTITUDE]).ravel()
+        starts = range(start_ns, end_ns, GRID_NS)
         return [
-            Output(MOTION, PredictedMotion(end, end - GRID_NS, *parts)) for end, *parts in zip(ends, *made, strict=True)
+            Output(MOTION, PredictedMotion.packed(numbers, stamp_ns=start + GRID_NS, start_ns=start))
+            for start, numbers in zip(starts, made, strict=True)
         ]
 
     def _silence(self, parameters: Array) -> Array:
@@ -218,5 +213,5 @@ class Predict:
         self._integrate(2 * GRID_NS)
         self._roll(0, GRID_NS, wanted=False)
         self._silence(self._known.mean)
-        matrix_from_quaternion(np.array([0.0, 0.0, 0.0, 1.0]))
+        feed(self._ring, np.zeros(1, np.int64), np.ones((1, ODOMETRY_SIZE)), 0, 0)
         self._reset()

@@ -8,7 +8,22 @@ import numpy as np
 import numpy.typing as npt
 
 from fbn_common.kernels import inner_kernel, kernel
-from fbn_common.lie import product_into, quaternion_into, so3_exp_into
+from fbn_common.lie import matrix_from_quaternion_into, product_into, quaternion_into, so3_exp_into
+from fbn_common.motion_ekf.layout import (
+    GRID_NS,
+    M_ATTITUDE,
+    M_BY_ATTITUDE,
+    M_BY_PARAMETERS,
+    M_BY_VELOCITY,
+    M_NOISE,
+    M_PARAMETERS,
+    MOTION_SIZE,
+    O_ORIENTATION,
+    O_POSE_COVARIANCE,
+    O_TWIST_COVARIANCE,
+    O_VELOCITY,
+    IntArray,
+)
 from fbn_common.types import Array, Mat3, Vec3, Vec6
 from fbn_predict.dynamics import Model
 from fbn_predict.sensitivity import COLUMNS, Scratch, new_scratch, step
@@ -27,27 +42,6 @@ class Ring(NamedTuple):
     velocity_fed: Array  # (n, 6)
     attitude_fed: Array  # (n, 3, 3)
     depth_fed: Array  # (n,)
-
-
-class Steps(NamedTuple):
-    """The motions of some steps, as in :class:`~fbn_common.records.PredictedMotion` and in its order."""
-
-    increment: Array  # (n, 3)
-    rotation: Array  # (n, 3)
-    velocity_start: Array  # (n, 6)
-    velocity_end: Array  # (n, 6)
-    parameters: Array  # (n, 15)
-    jacobian_velocity: Array  # (n, 12, 6)
-    jacobian_attitude: Array  # (n, 12, 3)
-    jacobian_parameters: Array  # (n, 12, 15)
-    noise: Array  # (n, 12, 12)
-    attitude_start: Array  # (n, 4)
-
-
-def new_steps(n: int) -> Steps:
-    """Room for the motions of ``n`` steps."""
-    shapes = ((3,), (3,), (6,), (6,), (15,), (12, 6), (12, 3), (12, 15), (12, 12), (4,))
-    return Steps(*(np.empty((n, *shape)) for shape in shapes))
 
 
 class Levels(NamedTuple):
@@ -69,6 +63,41 @@ def new_ring(n: int) -> Ring:
         np.zeros((n, 6)), level, depth, np.zeros((n, 15)),
         np.zeros(n, np.bool_), np.zeros((n, 6)), level.copy(), depth.copy(),
     )  # fmt: skip
+
+
+FED, UNUSED, BROKEN = 0, 1, 2  # what became of a line of feedback
+
+
+@kernel
+def feed(ring: Ring, stamps: IntArray, lines: Array, oldest_ns: int, newest_ns: int) -> IntArray:
+    """Keep dead reckoning's odometry (n, ODOMETRY_SIZE) where it is of a stamp of the grid within these bounds.
+
+    Gives (n,) what became of each line.
+    """
+    verdicts = np.empty(stamps.shape[0], np.int64)
+    for i in range(stamps.shape[0]):
+        verdicts[i] = _feed_one(ring, stamps[i], lines[i], oldest_ns, newest_ns)
+    return verdicts
+
+
+@inner_kernel
+def _feed_one(ring: Ring, stamp: int, line: Array, oldest_ns: int, newest_ns: int) -> int:
+    size = 0.0
+    for i in range(4):
+        size += abs(line[O_ORIENTATION + i])
+    if not size > 0.0:
+        return BROKEN
+    for i in range(O_POSE_COVARIANCE):
+        if not (np.isfinite(line[i]) and np.isfinite(line[min(O_VELOCITY + i, O_TWIST_COVARIANCE - 1)])):
+            return BROKEN
+    if stamp % GRID_NS != 0 or not oldest_ns <= stamp <= newest_ns:
+        return UNUSED
+    k = (stamp // GRID_NS) % ring.depth.shape[0]
+    ring.feedback[k], ring.depth_fed[k] = True, -line[2]
+    for i in range(6):
+        ring.velocity_fed[k, i] = line[O_VELOCITY + i]
+    matrix_from_quaternion_into(line[O_ORIENTATION:O_POSE_COVARIANCE], ring.attitude_fed[k])
+    return FED
 
 
 @inner_kernel
@@ -97,22 +126,20 @@ def _noise(p: Array, depth: float, levels: Levels, dt: float, densities: Array, 
 
 
 @inner_kernel
-def _keep(made: Steps, i: int, velocity: Vec6, attitude: Mat3, p: Array, y: Array, s: Array) -> None:
-    """Write down step ``i``: its start, its end ``y`` and the sensitivities ``s`` (12, 24)."""
-    for j in range(3):
-        made.increment[i, j], made.rotation[i, j] = y[j], y[3 + j]
+def _write_down(made: Array, velocity: Vec6, attitude: Mat3, p: Array, y: Array, s: Array) -> None:
+    """A step's start, its end ``y`` and the sensitivities ``s`` (12, 24), into the numbers of its motion."""
     for j in range(6):
-        made.velocity_start[i, j], made.velocity_end[i, j] = velocity[j], y[6 + j]
+        made[j], made[6 + j], made[12 + j] = y[j], velocity[j], y[6 + j]
     for j in range(15):
-        made.parameters[i, j] = p[j]
-    quaternion_into(attitude, made.attitude_start[i])
+        made[M_PARAMETERS + j] = p[j]
+    quaternion_into(attitude, made[M_ATTITUDE:M_BY_VELOCITY])
     for row in range(12):
         for j in range(6):
-            made.jacobian_velocity[i, row, j] = s[row, j]
+            made[M_BY_VELOCITY + 6 * row + j] = s[row, j]
         for j in range(3):
-            made.jacobian_attitude[i, row, j] = s[row, 6 + j]
+            made[M_BY_ATTITUDE + 3 * row + j] = s[row, 6 + j]
         for j in range(15):
-            made.jacobian_parameters[i, row, j] = s[row, 9 + j]
+            made[M_BY_PARAMETERS + 15 * row + j] = s[row, 9 + j]
 
 
 @inner_kernel
@@ -137,15 +164,15 @@ def _end_of_step(ring: Ring, k: int, n: int, y: Array, turn: Mat3) -> None:
 
 
 @kernel
-def roll(
-    ring: Ring, first: int, actuators: Array, dt: float, model: Model, levels: Levels, wanted: bool, made: Steps
-) -> None:
+def roll(ring: Ring, first: int, actuators: Array, dt: float, model: Model, levels: Levels, wanted: bool) -> Array:
     """Step from slot ``first`` on, once per row of ``actuators`` (n, 5); feedback met on the way is taken over.
 
-    Where wanted, row i of ``made`` is filled for step i.
+    Gives the numbers (n, MOTION_SIZE) of the steps' motions, where wanted; else (0, MOTION_SIZE).
     """
+    made = np.empty((actuators.shape[0] if wanted else 0, MOTION_SIZE))
     y, s, turn, densities = np.empty(12), np.empty((12, COLUMNS)), np.empty((3, 3)), np.empty((2, 3))
     _roll(ring, first, actuators, dt, model, levels, wanted, made, y, s, turn, densities, new_scratch())
+    return made
 
 
 @inner_kernel
@@ -157,7 +184,7 @@ def _roll(
     model: Model,
     levels: Levels,
     wanted: bool,
-    made: Steps,
+    made: Array,
     y: Array,
     s: Array,
     turn: Mat3,
@@ -172,6 +199,6 @@ def _roll(
         p, depth = ring.parameters[k], ring.depth[k]
         step(ring.velocity[k], ring.attitude[k], p, actuators[i], depth, dt, model, y, s, wanted, scratch)
         if wanted:
-            _keep(made, i, ring.velocity[k], ring.attitude[k], p, y, s)
-            _noise(p, depth, levels, dt, densities, made.noise[i])
+            _write_down(made[i], ring.velocity[k], ring.attitude[k], p, y, s)
+            _noise(p, depth, levels, dt, densities, made[i, M_NOISE:MOTION_SIZE].reshape(12, 12))
         _end_of_step(ring, k, n, y, turn)

@@ -12,7 +12,7 @@ from fbn_common.estimator import Level
 from fbn_common.motion_ekf.layout import GRID_NS
 from fbn_common.records import Innovation, JointState, Odometry, Pose, PredictedMotion, VehicleParameters, Verdict
 from fbn_common.types import Array
-from fbn_predict.estimator import MOTION, PARAMETERS, Predict
+from fbn_predict.estimator import INNOVATIONS, MOTION, PARAMETERS, Predict
 from fbn_predict.parameters import PredictParameters, prior
 
 T0 = 50_000_000_000
@@ -112,6 +112,22 @@ def test_feedback_carries_its_difference_forward_to_now(parameters: PredictParam
     first = motions(predict.advance(T0 + 1_010_000_000))[0]
     # from rest at the stamp, 0.5 s of damping by 0.27 1/s
     assert first.velocity_start[0] == pytest.approx(0.5 * np.exp(-0.27 * 0.5), rel=1e-3)
+
+
+def test_feedback_that_cannot_be_used_keeps_none_of_the_rest_out(parameters: PredictParameters) -> None:
+    together, alone, ms = Predict(parameters), Predict(parameters), 1_000_000
+    good = [odometry(T0 + 500 * ms, 0.5), odometry(T0 + 530 * ms, 0.4)]
+    bad = [odometry(T0 + 510 * ms, np.nan), odometry(T0 + 515 * ms + 1, 0.9), odometry(T0 - 10 * ms, 0.9)]
+    for predict, lines in ((together, [bad[0], good[1], bad[1], good[0], bad[2]]), (alone, good)):
+        predict.put("actuators", command(T0, 0.0))
+        predict.advance(T0 + 1000 * ms)
+        for line in lines:
+            predict.put("deadreck/odometry", line)
+    mixed, plain = together.advance(T0 + 1010 * ms), motions(alone.advance(T0 + 1010 * ms))
+    assert [o.record.reason for o in mixed if o.topic == INNOVATIONS] == ["not finite"]  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(motions(mixed)[0].numbers, plain[0].numbers)
+    counts = together.health().values
+    assert (counts["feedback.used"], counts["feedback.unused"], counts["deadreck.refused"]) == (2, 2, 1)
 
 
 def test_without_actuators_motion_is_predicted_and_uncertain(parameters: PredictParameters) -> None:

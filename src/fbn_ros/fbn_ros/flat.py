@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fbn_common.records import FluidPressure, Imu, Odometry, Pose, PoseWithCovarianceStamped, Record
+from fbn_common.records import FluidPressure, Imu, Odometry, Packed, Pose, PoseWithCovarianceStamped, Record
 from fbn_common.types import Array
 from fbn_ros.conversion import Malformed
 from fbn_ros.primitives import PREFIX, put_text, put_time, text_at, time_at
@@ -47,6 +47,7 @@ class Flat:
     def __init__(self, kind: type[Any], lead: list[tuple[str, str]], runs: list[Run]) -> None:
         self.kind, self._lead, self._runs = kind, lead, runs
         self._count = runs[-1].stop
+        self._packed = issubclass(kind, Packed)
         self._ruled = has_rules(kind)  # something may be absent: judged by its own rules
         self._framed = "frame_id" in {f.name for f in dataclasses.fields(kind)}
         self._quaternions = [r.stop - 4 for r in runs if r.name in QUATERNIONS or r.shape is None]
@@ -64,6 +65,8 @@ class Flat:
             else:
                 put_text(body, getattr(record, name))
         body += b"\0" * (-len(body) % 8)
+        if self._packed:
+            return PREFIX + bytes(body) + record.numbers.tobytes()
         numbers = np.empty(self._count)
         for name, start, stop, shape in self._runs:
             value = getattr(record, name)
@@ -87,6 +90,8 @@ class Flat:
             return None
         if not self._ruled and not self._usable(numbers):
             return None
+        if self._packed:
+            return typing.cast(Record, self.kind.packed(numbers, **values))
         for name, start, stop, shape in self._runs:
             if shape is None:
                 values[name] = Pose(numbers[start : start + 3], numbers[start + 3 : stop])
@@ -135,7 +140,7 @@ def _passes(record: Any) -> bool:
 _STANDARD: dict[type, tuple[list[tuple[str, str]], list[tuple[str, Shape]]]] = {
     Odometry: (
         [("child_frame_id", "string")],
-        [("pose", None), ("pose_covariance", (6, 6)), ("twist", (6,)), ("twist_covariance", (6, 6))],
+        [(name, run.shape) for name, run in Odometry.layout.items()],
     ),
     PoseWithCovarianceStamped: ([], [("pose", None), ("covariance", (6, 6))]),
     FluidPressure: ([], [("fluid_pressure", ()), ("variance", ())]),

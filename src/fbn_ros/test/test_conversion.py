@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,19 @@ def test_arrays_come_back_fresh_aligned_and_writable() -> None:
     motion = cdr.decode("t", r.PredictedMotion, cdr.encode(example(r.PredictedMotion, RNG)))
     for array in (motion.noise, motion.increment, motion.jacobian_velocity):
         assert array.flags.c_contiguous and array.flags.aligned and array.flags.writeable and array.flags.carray
+
+
+@pytest.mark.parametrize("kind", [r.PredictedMotion, r.Odometry])
+def test_a_record_made_of_its_numbers_is_the_one_made_of_its_fields(kind: type[r.Packed]) -> None:
+    record = example(kind, RNG)
+    others = {f.name: getattr(record, f.name) for f in dataclasses.fields(kind) if f.name not in kind.layout}
+    packed = kind.packed(record.numbers, **others)
+    assert difference(packed, record) == ""
+    assert difference(pickle.loads(pickle.dumps(kind.packed(record.numbers, **others))), record) == ""
+    changed = dataclasses.replace(packed, stamp_ns=3)
+    assert (changed.stamp_ns, changed.numbers.tolist()) == (3, record.numbers.tolist())
+    with pytest.raises(AttributeError, match="nonsense"):
+        packed.nonsense  # noqa: B018
 
 
 FLAT = (

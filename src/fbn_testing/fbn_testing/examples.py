@@ -15,7 +15,7 @@ from fbn_common.types import Array
 T = TypeVar("T")
 
 RECORD_TYPES = tuple(
-    kind for kind in vars(r).values() if isinstance(kind, type) and issubclass(kind, r.Record) and kind is not r.Record
+    kind for kind in vars(r).values() if isinstance(kind, type) and issubclass(kind, r.Record) and kind.ros_type
 )
 
 

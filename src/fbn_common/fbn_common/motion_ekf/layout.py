@@ -48,6 +48,22 @@ SIZE_DEADRECK: Final = 38
 SIZE_REFERENCE: Final = 40
 ESTIMATED_DEADRECK: Final = 15
 ESTIMATED_REFERENCE: Final = 34
+# the numbers of a predicted motion, in the order of its message
+M_PARAMETERS: Final = 18  # increment 3, rotation vector 3, velocity at start 6 and at end 6 come before
+M_ATTITUDE: Final = 33  # quaternion
+M_BY_VELOCITY: Final = 37  # (12, 6)
+M_BY_ATTITUDE: Final = 109  # (12, 3)
+M_BY_PARAMETERS: Final = 145  # (12, 15)
+M_NOISE: Final = 325  # (12, 12)
+MOTION_SIZE: Final = 469
+
+# the numbers of odometry, in the order of its message
+O_ORIENTATION: Final = 3  # quaternion; the position comes before
+O_POSE_COVARIANCE: Final = 7  # (6, 6)
+O_VELOCITY: Final = 43
+O_TWIST_COVARIANCE: Final = 49  # (6, 6)
+ODOMETRY_SIZE: Final = 85
+
 DATA_SIZE: Final = 18
 OUT_SIZE: Final = 10
 

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from fbn_common.kernels import kernel
 from fbn_common.lie import quaternion_from_matrix
-from fbn_common.motion_ekf.layout import VELOCITY, X_ROTATION, X_VELOCITY, IntArray, Snapshots
+from fbn_common.motion_ekf.layout import (
+    O_ORIENTATION,
+    O_POSE_COVARIANCE,
+    O_TWIST_COVARIANCE,
+    O_VELOCITY,
+    ODOMETRY_SIZE,
+    VELOCITY,
+    X_ROTATION,
+    X_VELOCITY,
+    IntArray,
+    Snapshots,
+)
 from fbn_common.motion_ekf.propagate import rotation_of
 from fbn_common.records import Odometry, Pose
 from fbn_common.types import Array
@@ -18,16 +28,6 @@ from fbn_common.types import Array
 def pose_of(x: Array) -> Pose:
     """Position and orientation of a state."""
     return Pose(x[0:3].copy(), quaternion_from_matrix(rotation_of(x)))
-
-
-class Lines(NamedTuple):
-    """What odometry says of some states."""
-
-    position: Array  # (n, 3)
-    orientation: Array  # (n, 4)
-    velocity: Array  # (n, 6)
-    pose_covariance: Array  # (n, 6, 6), fixed axes
-    twist_covariance: Array  # (n, 6, 6)
 
 
 @kernel
@@ -55,22 +55,23 @@ def _covariances(x: Array, p: Array, pose: Array, twist: Array) -> None:
 
 
 @kernel
-def _lines(rows: IntArray, states: Array, covariances: Array, out: Lines) -> None:
-    """Odometry of these rows of states and covariances."""
+def _lines(rows: IntArray, states: Array, covariances: Array) -> Array:
+    """The numbers (n, ODOMETRY_SIZE) of odometry of these rows of states and covariances."""
+    lines = np.empty((rows.shape[0], ODOMETRY_SIZE))
     for i in range(rows.shape[0]):
-        x = states[rows[i]]
-        out.position[i], out.velocity[i] = x[0:3], x[X_VELOCITY : X_VELOCITY + 6]
-        out.orientation[i] = quaternion_from_matrix(rotation_of(x))
-        _covariances(x, covariances[rows[i]], out.pose_covariance[i], out.twist_covariance[i])
+        x, line = states[rows[i]], lines[i]
+        line[:O_ORIENTATION], line[O_VELOCITY:O_TWIST_COVARIANCE] = x[0:3], x[X_VELOCITY : X_VELOCITY + 6]
+        line[O_ORIENTATION:O_POSE_COVARIANCE] = quaternion_from_matrix(rotation_of(x))
+        pose, twist = line[O_POSE_COVARIANCE:O_VELOCITY], line[O_TWIST_COVARIANCE:]
+        _covariances(x, covariances[rows[i]], pose.reshape(6, 6), twist.reshape(6, 6))
+    return lines
 
 
 def odometry(snapshots: Snapshots, rows: Sequence[int], frame_id: str) -> list[Odometry]:
     """Snapshots as odometry: covariances in ROS order, fixed axes."""
-    n = len(rows)
-    lines = Lines(np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 6)), np.empty((n, 6, 6)), np.empty((n, 6, 6)))
     chosen = np.array(rows, np.int64)
-    _lines(chosen, snapshots.x, snapshots.covariance, lines)
+    lines = _lines(chosen, snapshots.x, snapshots.covariance)
     return [
-        Odometry(stamp, frame_id, "base_link", Pose(position, orientation), *others)
-        for stamp, position, orientation, *others in zip(snapshots.stamp[chosen].tolist(), *lines, strict=True)
+        Odometry.packed(numbers, stamp_ns=stamp, frame_id=frame_id, child_frame_id="base_link")
+        for stamp, numbers in zip(snapshots.stamp[chosen].tolist(), lines, strict=True)
     ]

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from itertools import chain
-from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
 
 from fbn_common.kernels import inner_kernel, kernel
 from fbn_common.lie import matrix_from_quaternion_into
-from fbn_common.motion_ekf.layout import DATA_SIZE, GRID_NS, OUT_SIZE, Events, IntArray, Kind, Motions
-from fbn_common.records import PredictedMotion
+from fbn_common.motion_ekf.layout import (
+    DATA_SIZE,
+    GRID_NS,
+    M_ATTITUDE,
+    M_BY_ATTITUDE,
+    M_BY_PARAMETERS,
+    M_BY_VELOCITY,
+    M_NOISE,
+    M_PARAMETERS,
+    MOTION_SIZE,
+    OUT_SIZE,
+    Events,
+    IntArray,
+    Kind,
+    Motions,
+)
+from fbn_common.records import PredictedMotion, stacked
 from fbn_common.types import Array, Mat3
 
 BoolArray = npt.NDArray[np.bool_]
@@ -20,31 +33,24 @@ MOTIONS = 2048  # 20 s
 EVENTS = 4096
 
 
-_parts = attrgetter(
-    "increment", "rotation", "velocity_start", "velocity_end", "parameters", "jacobian_velocity", "jacobian_attitude",
-    "jacobian_parameters", "noise", "attitude_start",
-)  # fmt: skip
-_WIDTH = 469  # numbers in them
-
-
 @kernel
-def _file(rows: Motions, stamps: IntArray, flat: Array) -> BoolArray:
-    """Copy motions, their parts one after the other in ``flat`` (n, 469), into their rows; whether they are finite.
+def _file(rows: Motions, stamps: IntArray, numbers: Array) -> BoolArray:
+    """Copy motions, their numbers (n, MOTION_SIZE), into their rows; whether they are finite.
 
     Nothing is copied of one that is not.
     """
     finite, rotation = np.zeros(stamps.shape[0], np.bool_), np.empty((3, 3))
     for i in range(stamps.shape[0]):
-        finite[i] = _file_one(rows, stamps[i], flat[i], rotation)
+        finite[i] = _file_one(rows, stamps[i], numbers[i], rotation)
     return finite
 
 
 @inner_kernel
 def _file_one(rows: Motions, stamp: int, one: Array, rotation: Mat3) -> bool:
     total = 0.0
-    for i in range(0, _WIDTH - 4, 5):
+    for i in range(0, MOTION_SIZE - 4, 5):
         total += (one[i] + one[i + 1]) + (one[i + 2] + one[i + 3]) + one[i + 4]
-    for i in range(_WIDTH - 4, _WIDTH):
+    for i in range(MOTION_SIZE - 4, MOTION_SIZE):
         total += one[i]
     if not np.isfinite(total):
         return False
@@ -52,17 +58,17 @@ def _file_one(rows: Motions, stamp: int, one: Array, rotation: Mat3) -> bool:
     for i in range(18):
         rows.mean[k, i] = one[i]
     for i in range(15):
-        rows.parameters[k, i] = one[18 + i]
+        rows.parameters[k, i] = one[M_PARAMETERS + i]
     for r in range(12):
         for j in range(6):
-            rows.jacobian[k, r, 3 + j] = one[33 + 6 * r + j]
+            rows.jacobian[k, r, 3 + j] = one[M_BY_VELOCITY + 6 * r + j]
         for j in range(3):
-            rows.jacobian[k, r, j] = one[105 + 3 * r + j]
+            rows.jacobian[k, r, j] = one[M_BY_ATTITUDE + 3 * r + j]
         for j in range(15):
-            rows.jacobian[k, r, 9 + j] = one[141 + 15 * r + j]
+            rows.jacobian[k, r, 9 + j] = one[M_BY_PARAMETERS + 15 * r + j]
         for j in range(12):
-            rows.noise[k, r, j] = one[321 + 12 * r + j]
-    matrix_from_quaternion_into(one[465:469], rotation)
+            rows.noise[k, r, j] = one[M_NOISE + 12 * r + j]
+    matrix_from_quaternion_into(one[M_ATTITUDE:M_BY_VELOCITY], rotation)
     for i in range(3):
         for j in range(3):
             rows.attitude[k, 3 * i + j] = rotation[i, j]
@@ -98,9 +104,8 @@ class MotionLog:
         taken = motions if not any(errors) else [m for m, e in zip(motions, errors, strict=True) if not e]
         if not taken:
             return errors
-        flat = np.frombuffer(b"".join(chain.from_iterable(map(_parts, taken)))).reshape(-1, _WIDTH)
         stamps = [m.stamp_ns for m in taken]
-        finite = _file(self.rows, np.array(stamps, np.int64), flat)
+        finite = _file(self.rows, np.array(stamps, np.int64), stacked(taken, MOTION_SIZE))
         if not finite.all():
             verdicts = iter(finite.tolist())
             errors = [error or ("" if next(verdicts) else "not finite") for error in errors]
