@@ -25,8 +25,7 @@ KEEP_S = 14 * 86400  # how long the code of sources that are no longer used is k
 
 def kernel(function: F) -> F:
     """``function`` compiled by numba in nopython mode, kept on disk until a source that it can come from changes."""
-    config.CACHE_DIR = str(cache_directory(function.__module__.partition(".")[0]))  # type: ignore[attr-defined]
-    return cast(F, njit(cache=True)(function))
+    return _compiled(function)
 
 
 def inner_kernel(function: F) -> F:
@@ -35,9 +34,12 @@ def inner_kernel(function: F) -> F:
     Counting them costs more than the work of a function that is called many times a step.  One that does make an
     array, if only to copy a slice to a slice, does not compile.
     """
+    return _compiled(function, _nrt=False)  # without numba's runtime of counted references
+
+
+def _compiled(function: F, **options: Any) -> F:
     config.CACHE_DIR = str(cache_directory(function.__module__.partition(".")[0]))  # type: ignore[attr-defined]
-    options: dict[str, Any] = {"cache": True, "_nrt": False}  # without numba's runtime of counted references
-    return cast(F, njit(**options)(function))
+    return cast(F, njit(cache=True, **options)(function))
 
 
 @cache

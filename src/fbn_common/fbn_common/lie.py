@@ -18,11 +18,17 @@ _SMALL = 1e-8  # rad: below it the series' next term is under the double's resol
 @kernel
 def skew(v: Vec3) -> Mat3:
     """The matrix ``[v]x`` with ``[v]x w = v x w``."""
-    m = np.zeros((3, 3))
-    m[0, 1], m[0, 2] = -v[2], v[1]
-    m[1, 0], m[1, 2] = v[2], -v[0]
-    m[2, 0], m[2, 1] = -v[1], v[0]
+    m = np.empty((3, 3))
+    skew_into(v, m)
     return m
+
+
+@inner_kernel
+def skew_into(v: Vec3, m: Mat3) -> None:
+    """:func:`skew` written into ``m``."""
+    m[0, 0] = m[1, 1] = m[2, 2] = 0.0
+    m[0, 1], m[0, 2], m[1, 0] = -v[2], v[1], v[2]
+    m[1, 2], m[2, 0], m[2, 1] = -v[0], -v[1], v[0]
 
 
 @kernel

@@ -45,7 +45,7 @@ def motion(k: int) -> PredictedMotion:
 
 def test_motions_taken_together_are_those_taken_one_by_one() -> None:
     motions, together, alone = [motion(k) for k in range(7)], MotionLog(), MotionLog()
-    assert together.put(*motions) == [""] * 7
+    assert together.put(*motions) == ([""] * 7, -1)
     for m in motions:
         alone.put(m)
     for a, b in zip(together.rows, alone.rows, strict=True):
@@ -72,16 +72,25 @@ def test_a_motion_that_cannot_be_used_keeps_none_of_the_others_out() -> None:
     good, log = [motion(k) for k in range(3)], MotionLog()
     broken = replace(motion(3), noise=np.full((12, 12), np.nan))
     shifted = replace(motion(4), start_ns=4 * GRID_NS + 1)
-    errors = log.put(good[0], broken, good[1], shifted, good[2])
+    errors, again_ns = log.put(good[0], broken, good[1], shifted, good[2])
+    assert again_ns == -1
     assert [bool(e) for e in errors] == [False, True, False, True, False]
     assert errors[1] == "not finite" and "grid" in errors[3]
     assert [log.has(k * GRID_NS) for k in range(1, 6)] == [True, True, True, False, False]
     assert log.newest_ns == 3 * GRID_NS
 
 
+def test_the_first_motion_that_takes_anothers_place_is_named() -> None:
+    log = MotionLog()
+    log.put(*(motion(k) for k in range(5)))
+    unusable = replace(motion(1), noise=np.full((12, 12), np.nan))
+    assert log.put(motion(6), unusable, motion(3), motion(2)).again_ns == 2 * GRID_NS
+    assert log.put(motion(5)).again_ns == -1
+
+
 def test_taking_nothing_changes_nothing() -> None:
     log = MotionLog()
-    assert log.put() == []
+    assert log.put() == ([], -1)
     assert log.newest_ns == -1
 
 

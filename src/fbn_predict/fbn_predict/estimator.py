@@ -213,5 +213,6 @@ class Predict:
         self._integrate(2 * GRID_NS)
         self._roll(0, GRID_NS, wanted=False)
         self._silence(self._known.mean)
-        feed(self._ring, np.zeros(1, np.int64), np.ones((1, ODOMETRY_SIZE)), 0, 0)
+        line = stacked([Odometry.packed(np.ones(ODOMETRY_SIZE))], ODOMETRY_SIZE)
+        feed(self._ring, np.zeros(1, np.int64), line, 0, 0)
         self._reset()

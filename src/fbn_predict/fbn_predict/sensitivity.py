@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fbn_common.kernels import inner_kernel, kernel
-from fbn_common.lie import product_into, so3_right_jacobian_into
+from fbn_common.lie import product_into, skew_into, so3_right_jacobian_into
 from fbn_common.types import Array, Mat3, Vec3, Vec6
 from fbn_predict.dynamics import Feel, Model, Step, begin, new_feel, new_step, rates
 
@@ -65,13 +65,6 @@ def _skew_times(v: Vec3, m: Mat3, out: Mat3) -> None:
 
 
 @inner_kernel
-def _skew_into(v: Vec3, out: Mat3) -> None:
-    out[0, 0] = out[1, 1] = out[2, 2] = 0.0
-    out[0, 1], out[0, 2], out[1, 0] = -v[2], v[1], v[2]
-    out[1, 2], out[2, 0], out[2, 1] = -v[0], -v[1], v[0]
-
-
-@inner_kernel
 def _kinematics(y: Array, feel: Feel, d: Partials) -> None:
     """Rows of the increment, ``e v``, and of the rotation vector, ``w + theta x w / 2 + theta x (theta x w) / 12``."""
     theta, v, w, e, a = y[3:6], y[6:9], y[9:12], feel.turned, d.a
@@ -80,8 +73,8 @@ def _kinematics(y: Array, feel: Feel, d: Partials) -> None:
     dot = theta[0] * w[0] + theta[1] * w[1] + theta[2] * w[2]
     square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
     sw, st = d.by_velocity, d.by_water  # room that is still free
-    _skew_into(w, sw)
-    _skew_into(theta, st)
+    skew_into(w, sw)
+    skew_into(theta, st)
     for i in range(3):
         for j in range(3):
             a[i, 3 + j], a[i, 6 + j] = -d.force[i, j], e[i, j]
@@ -94,7 +87,7 @@ def _kinematics(y: Array, feel: Feel, d: Partials) -> None:
 def _forces(y: Array, p: Array, step: Step, model: Model, feel: Feel, d: Partials) -> None:
     """Rows of the linear velocity."""
     w, m, a, b, r = y[9:12], model.mass, d.a, d.b, d.by_velocity
-    _skew_into(w, r)
+    skew_into(w, r)
     for i in range(3):
         for j in range(3):
             d.by_water[i, j] = r[i, j] * (m[j] / m[i] - 1.0)

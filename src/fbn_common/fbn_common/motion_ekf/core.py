@@ -73,13 +73,9 @@ class MotionEkf:
 
     def put_motions(self, *motions: PredictedMotion) -> list[str]:
         """Take motions, or their replacements; for each, why it cannot be used, empty if it can."""
-        head = self.head_ns
-        passed = [i for i, m in enumerate(motions) if m.start_ns < head]
-        again = [i for i in passed if self.motions.has(motions[i].stamp_ns)]
-        errors = self.motions.put(*motions)
-        for i in again:
-            if not errors[i]:
-                self._mark(motions[i].start_ns)
+        errors, again_ns = self.motions.put(*motions)
+        if 0 <= again_ns < self.head_ns:
+            self._mark(again_ns)
         return errors
 
     def put_event(self, stamp_ns: int, rank: int, kind: Kind, sensor: int, data: Array) -> int:

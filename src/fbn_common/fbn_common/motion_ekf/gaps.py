@@ -16,7 +16,7 @@ _SPREAD = np.array([0.02, 0.02, 0.02, 0.05, 0.05, 0.05])  # m^2/s^3, rad^2/s^3: 
 def overdue(ekf: MotionEkf, history: HistoryParameters, now_ns: int) -> bool:
     """Whether the next motion is missing while later ones have come, and has been waited for long enough."""
     head, patience = ekf.head_ns, nanoseconds(history.patience)
-    return not ekf.motions.has(head + GRID_NS) and min(ekf.motions.newest_ns, now_ns) - head >= patience
+    return min(ekf.motions.newest_ns, now_ns) - head >= patience and not ekf.motions.has(head + GRID_NS)
 
 
 def too_long(ekf: MotionEkf, history: HistoryParameters) -> bool:

@@ -67,7 +67,7 @@ def _lines(rows: IntArray, states: Array, covariances: Array) -> Array:
     return lines
 
 
-def odometry(snapshots: Snapshots, rows: Sequence[int], frame_id: str) -> list[Odometry]:
+def odometry(snapshots: Snapshots, rows: Sequence[int] | IntArray, frame_id: str) -> list[Odometry]:
     """Snapshots as odometry: covariances in ROS order, fixed axes."""
     chosen = np.array(rows, np.int64)
     lines = _lines(chosen, snapshots.x, snapshots.covariance)

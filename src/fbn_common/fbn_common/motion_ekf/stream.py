@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from fbn_common.estimator import Output
 from fbn_common.motion_ekf.core import MotionEkf
-from fbn_common.motion_ekf.layout import SNAPSHOT_NS
+from fbn_common.motion_ekf.layout import SNAPSHOT_NS, IntArray
 from fbn_common.motion_ekf.output import odometry
 
 
@@ -19,19 +21,20 @@ class OdometryStream:
         """Go on with the filter's next start."""
         self._newest_ns = -1
 
-    def passed(self, ekf: MotionEkf) -> list[int]:
+    def passed(self, ekf: MotionEkf) -> IntArray:
         """Rows of the snapshots passed since the last call; those that the history has lost are left out."""
         first = self._newest_ns + SNAPSHOT_NS
         if self._newest_ns < 0:
             first = -(-ekf.base.stamp_ns // SNAPSHOT_NS) * SNAPSHOT_NS
-        stamps = range(first, ekf.head_ns + 1, SNAPSHOT_NS)
-        if stamps:
-            self._newest_ns = stamps[-1]
-        return [row for stamp in stamps if (row := ekf.snapshot_row(stamp)) >= 0]
+        stamps = np.arange(first, ekf.head_ns + 1, SNAPSHOT_NS)
+        if len(stamps):
+            self._newest_ns = int(stamps[-1])
+        rows = stamps // SNAPSHOT_NS % len(ekf.snapshots.stamp)
+        return rows[ekf.snapshots.stamp[rows] == stamps]
 
     def publish(self, ekf: MotionEkf, *, wanted: bool) -> list[Output]:
         """What there is to publish now; where it is not wanted it is passed over."""
         rows = self.passed(ekf)
-        if not rows or not wanted:
+        if not len(rows) or not wanted:
             return []
         return [Output(self.topic, record) for record in odometry(ekf.snapshots, rows, self.frame_id)]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fbn_common.kernels import inner_kernel, kernel
 from fbn_common.lie import matrix_from_quaternion_into
@@ -28,32 +28,37 @@ from fbn_common.motion_ekf.layout import (
 from fbn_common.records import PredictedMotion, stacked
 from fbn_common.types import Array, Mat3
 
-BoolArray = npt.NDArray[np.bool_]
 MOTIONS = 2048  # 20 s
 EVENTS = 4096
 
 
-@kernel
-def _file(rows: Motions, stamps: IntArray, numbers: Array) -> BoolArray:
-    """Copy motions, their numbers (n, MOTION_SIZE), into their rows; whether they are finite.
+_NEW, _AGAIN, _OFF_THE_GRID, _NOT_FINITE = 0, 1, 2, 3  # what became of a motion
 
-    Nothing is copied of one that is not.
+
+@kernel
+def _file(rows: Motions, starts: IntArray, stamps: IntArray, numbers: Array) -> IntArray:
+    """Copy motions, their numbers (n, MOTION_SIZE), into their rows; what became of each (n,).
+
+    Nothing is copied of one that is not a step of the grid, or not finite.
     """
-    finite, rotation = np.zeros(stamps.shape[0], np.bool_), np.empty((3, 3))
+    fates, rotation = np.empty(stamps.shape[0], np.int64), np.empty((3, 3))
     for i in range(stamps.shape[0]):
-        finite[i] = _file_one(rows, stamps[i], numbers[i], rotation)
-    return finite
+        if stamps[i] % GRID_NS != 0 or stamps[i] - starts[i] != GRID_NS:
+            fates[i] = _OFF_THE_GRID
+        else:
+            fates[i] = _file_one(rows, stamps[i], numbers[i], rotation)
+    return fates
 
 
 @inner_kernel
-def _file_one(rows: Motions, stamp: int, one: Array, rotation: Mat3) -> bool:
+def _file_one(rows: Motions, stamp: int, one: Array, rotation: Mat3) -> int:
     total = 0.0
     for i in range(0, MOTION_SIZE - 4, 5):
         total += (one[i] + one[i + 1]) + (one[i + 2] + one[i + 3]) + one[i + 4]
     for i in range(MOTION_SIZE - 4, MOTION_SIZE):
         total += one[i]
     if not np.isfinite(total):
-        return False
+        return _NOT_FINITE
     k = (stamp // GRID_NS) % rows.stamp.shape[0]
     for i in range(18):
         rows.mean[k, i] = one[i]
@@ -72,15 +77,23 @@ def _file_one(rows: Motions, stamp: int, one: Array, rotation: Mat3) -> bool:
     for i in range(3):
         for j in range(3):
             rows.attitude[k, 3 * i + j] = rotation[i, j]
+    fate = _AGAIN if rows.stamp[k] == stamp else _NEW
     rows.stamp[k] = stamp
-    return True
+    return fate
 
 
-def _off_the_grid(m: PredictedMotion) -> str:
-    """Why a motion is not one step of the grid; empty if it is."""
-    if m.stamp_ns % GRID_NS or m.stamp_ns - m.start_ns != GRID_NS:
+def _why(m: PredictedMotion, fate: int) -> str:
+    """Why a motion was not taken; empty if it was."""
+    if fate == _OFF_THE_GRID:
         return f"not one step of the {GRID_NS} ns grid: {m.start_ns} to {m.stamp_ns}"
-    return ""
+    return "not finite" if fate == _NOT_FINITE else ""
+
+
+class Filed(NamedTuple):
+    """What became of motions."""
+
+    errors: list[str]  # for each, why it cannot be used, empty if it can
+    again_ns: int  # start of the first that took the place of one of the same step; -1 if none did
 
 
 class MotionLog:
@@ -98,23 +111,20 @@ class MotionLog:
         self.first_ns = -1  # start of the oldest motion ever taken
         self.newest_ns = -1
 
-    def put(self, *motions: PredictedMotion) -> list[str]:
-        """Take motions, or their replacements; for each, why it cannot be used, empty if it can."""
-        errors = [_off_the_grid(m) for m in motions]
-        taken = motions if not any(errors) else [m for m, e in zip(motions, errors, strict=True) if not e]
-        if not taken:
-            return errors
-        stamps = [m.stamp_ns for m in taken]
-        finite = _file(self.rows, np.array(stamps, np.int64), stacked(taken, MOTION_SIZE))
-        if not finite.all():
-            verdicts = iter(finite.tolist())
-            errors = [error or ("" if next(verdicts) else "not finite") for error in errors]
-            stamps = [m.stamp_ns for m, error in zip(motions, errors, strict=True) if not error]
-        if stamps:
-            start = min(stamps) - GRID_NS
-            self.first_ns = start if self.first_ns < 0 else min(self.first_ns, start)
-            self.newest_ns = max(self.newest_ns, max(stamps))
-        return errors
+    def put(self, *motions: PredictedMotion) -> Filed:
+        """Take motions, or their replacements."""
+        if not motions:
+            return Filed([], -1)
+        stamps = np.array([m.stamp_ns for m in motions], np.int64)
+        starts = np.array([m.start_ns for m in motions], np.int64)
+        fates = _file(self.rows, starts, stamps, stacked(motions, MOTION_SIZE))
+        taken, again = starts[fates <= _AGAIN], starts[fates == _AGAIN]
+        if len(taken):
+            first = int(taken.min())
+            self.first_ns = first if self.first_ns < 0 else min(self.first_ns, first)
+            self.newest_ns = max(self.newest_ns, int(taken.max()) + GRID_NS)
+        errors = [_why(m, fate) if fate else "" for m, fate in zip(motions, fates.tolist(), strict=True)]
+        return Filed(errors, int(again.min()) if len(again) else -1)
 
     def has(self, stamp_ns: int) -> bool:
         """Whether the motion that ends at this grid stamp is here."""
