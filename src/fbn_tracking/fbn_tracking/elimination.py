@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fbn_common.kernels import kernel
+from fbn_common.kernels import inner_kernel, kernel
 from fbn_common.lie import so3_exp
 from fbn_common.types import Array, Vec3
 from fbn_tracking.factors import earth_kernel, link_kernel
@@ -35,7 +35,14 @@ def reduce_columns(A: Array, y: Array, top: int, rows: int, first: int, count: i
     In place on ``A`` (rows, width) and the right side ``y``.  Rows without a share in a column are passed over.  The
     products of a column with all that follow are gathered while the reflection before it passes over the rows.
     """
-    sums, ahead, right, known = np.zeros(width), np.zeros(width), 0.0, False
+    _reduce(A, y, top, rows, first, count, width, np.zeros(width), np.zeros(width))
+
+
+@inner_kernel
+def _reduce(
+    A: Array, y: Array, top: int, rows: int, first: int, count: int, width: int, sums: Array, ahead: Array
+) -> None:
+    right, known = 0.0, False
     for i in range(count):
         p, c = top + i, first + i
         if p >= rows:
@@ -58,7 +65,7 @@ def reduce_columns(A: Array, y: Array, top: int, rows: int, first: int, count: i
         sums, ahead = ahead, sums
 
 
-@kernel
+@inner_kernel
 def _products(A: Array, y: Array, begin: int, rows: int, c: int, sums: Array) -> float:
     """Column ``c``, from row ``begin`` on, times itself and the columns after it (``sums``), and times ``y``."""
     right = 0.0
@@ -70,7 +77,7 @@ def _products(A: Array, y: Array, begin: int, rows: int, c: int, sums: Array) ->
     return right
 
 
-@kernel
+@inner_kernel
 def _reflect(
     A: Array, y: Array, begin: int, rows: int, c: int, beta: float, right: float, sums: Array, ahead: Array
 ) -> float:
@@ -98,7 +105,7 @@ def _reflect(
     return next_right
 
 
-@kernel
+@inner_kernel
 def _add(to: Array, factor: float, row: Array) -> None:
     for j in range(to.shape[0]):
         to[j] += factor * row[j]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fbn_common.kernels import kernel
+from fbn_common.kernels import inner_kernel, kernel
 from fbn_common.lie import product
 from fbn_common.types import Array, Mat3, Vec3
 
@@ -72,16 +72,29 @@ def cartesian_jacobian(q: Vec3) -> tuple[Vec3, Mat3]:
 @kernel
 def polar_jacobian(s: Vec3) -> tuple[Vec3, Mat3]:
     """``(r, phi, theta)`` of a point in the array's frame and its derivative by the point."""
-    rho = max(np.sqrt(s[0] ** 2 + s[1] ** 2), _NEAR)
-    r = max(np.sqrt(rho**2 + s[2] ** 2), _NEAR)
-    z, d = np.empty(3), np.empty((3, 3))
-    z[0], z[1], z[2] = r, np.arctan2(rho, s[2]), np.arctan2(s[1], s[0])
-    for i in range(3):
-        d[0, i] = s[i] / r
-        d[1, i] = s[2] * s[i] / (r * r * rho)
-    d[1, 2] -= 1.0 / rho
-    d[2, 0], d[2, 1], d[2, 2] = -s[1] / rho**2, s[0] / rho**2, 0.0
+    z, d = s.copy(), np.empty((3, 3))
+    polar_into(z, d)
     return z, d
+
+
+@inner_kernel
+def polar_into(z: Vec3, d: Mat3) -> None:
+    """:func:`polar_jacobian` written over the point and into ``d``."""
+    x, y, along = z[0], z[1], z[2]
+    rho, r = distances(z)
+    for i in range(3):
+        d[0, i] = z[i] / r
+        d[1, i] = along * z[i] / (r * r * rho)
+    d[1, 2] -= 1.0 / rho
+    d[2, 0], d[2, 1], d[2, 2] = -y / rho**2, x / rho**2, 0.0
+    z[0], z[1], z[2] = r, np.arctan2(rho, along), np.arctan2(y, x)
+
+
+@inner_kernel
+def distances(s: Vec3) -> tuple[float, float]:
+    """Distance of a point in the array's frame from the array's axis, and its range [m]."""
+    rho = max(np.sqrt(s[0] ** 2 + s[1] ** 2), _NEAR)
+    return rho, max(np.sqrt(rho**2 + s[2] ** 2), _NEAR)
 
 
 @kernel
@@ -97,12 +110,33 @@ def world_point(R_world_array: Mat3, p_world_array: Vec3, q: Vec3) -> tuple[Vec3
 @kernel
 def observe(R_world_array: Mat3, p_world_array: Vec3, point: Vec3) -> tuple[Vec3, Mat3]:
     """``(r, phi, theta)`` of a world point as an array at this pose sees it, and its derivative by the point."""
-    R, y = R_world_array, np.empty(3)
-    a, b, c = point[0] - p_world_array[0], point[1] - p_world_array[1], point[2] - p_world_array[2]
+    z, d = np.empty(3), np.empty((3, 3))
+    observe_into(R_world_array, p_world_array, point, z, d, np.empty((3, 3)))
+    return z, d
+
+
+@inner_kernel
+def observe_into(R: Mat3, p: Vec3, point: Vec3, z: Vec3, d: Mat3, room: Mat3) -> None:
+    """:func:`observe` written into ``z`` and ``d``; ``room`` is written over."""
+    bring_into(R, p, point, z)
+    polar_into(z, room)
+    times_transposed_into(room, R, d)
+
+
+@inner_kernel
+def see_into(R: Mat3, p: Vec3, point: Vec3, z: Vec3) -> None:
+    """:func:`observe` without the derivative, written into ``z``."""
+    bring_into(R, p, point, z)
+    rho, r = distances(z)
+    z[0], z[1], z[2] = r, np.arctan2(rho, z[2]), np.arctan2(z[1], z[0])
+
+
+@inner_kernel
+def bring_into(R: Mat3, p: Vec3, point: Vec3, out: Vec3) -> None:
+    """A world point in the frame of an array at this pose, written into ``out``."""
+    a, b, c = point[0] - p[0], point[1] - p[1], point[2] - p[2]
     for i in range(3):
-        y[i] = R[0, i] * a + R[1, i] * b + R[2, i] * c
-    z, d = polar_jacobian(y)
-    return z, times_transposed(d, R)
+        out[i] = R[0, i] * a + R[1, i] * b + R[2, i] * c
 
 
 @kernel
@@ -139,10 +173,16 @@ def brought(T: Array, x: Vec3) -> Vec3:
 def times_transposed(d: Mat3, T: Array) -> Mat3:
     """``d R^T``."""
     out = np.empty((3, 3))
+    times_transposed_into(d, T, out)
+    return out
+
+
+@inner_kernel
+def times_transposed_into(d: Mat3, T: Array, out: Mat3) -> None:
+    """``d R^T`` written into ``out``, which is neither of them."""
     for i in range(3):
         for j in range(3):
             out[i, j] = d[i, 0] * T[j, 0] + d[i, 1] * T[j, 1] + d[i, 2] * T[j, 2]
-    return out
 
 
 @kernel
