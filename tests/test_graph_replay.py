@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from fbn_bringup.offline import replay_offline
@@ -68,14 +70,12 @@ def test_the_nodes_can_be_paced_by_time(sensor_bag: Path, tmp_path: Path) -> Non
     assert said[-1].fraction > 0.8
 
 
-def test_a_node_that_dies_ends_the_replay_with_its_last_words(sensor_bag: Path, tmp_path: Path) -> None:
-    def kill(progress: Progress) -> None:
-        if progress.log_s > 1.0:
-            for pid in _children("__node:=fbn_tracking"):
-                os.kill(pid, signal.SIGKILL)
-
+def test_a_node_that_dies_ends_the_replay_with_its_last_words(
+    sensor_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    strike = _after_a_second("fbn_tracking", signal.SIGKILL, monkeypatch)
     with pytest.raises(ReplayError, match=r"fbn_tracking ended \(killed by SIGKILL\)"):
-        replay_nodes(sensor_bag, tmp_path / "run", FAKES, kill)
+        replay_nodes(sensor_bag, tmp_path / "run", FAKES, strike)
     with BagReader(tmp_path / "run" / "bag") as run:  # what was done by then is kept
         assert run.topics["predict/motion"].count > 50
 
@@ -83,21 +83,25 @@ def test_a_node_that_dies_ends_the_replay_with_its_last_words(sensor_bag: Path, 
 def test_a_node_that_stands_still_is_named_with_what_is_missing(
     sensor_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def freeze(progress: Progress) -> None:
-        if progress.log_s > 1.0:
-            for pid in _children("__node:=fbn_reference"):
-                os.kill(pid, signal.SIGSTOP)
-
+    strike = _after_a_second("fbn_reference", signal.SIGSTOP, monkeypatch)
     monkeypatch.setattr("fbn_bringup.lockstep_player.STEP_LIMIT_S", 2.0)
     with pytest.raises(ReplayError, match=r"fbn_reference: reference/fix: expected \?, got \d+") as caught:
-        replay_nodes(sensor_bag, tmp_path / "run", FAKES, freeze)
+        replay_nodes(sensor_bag, tmp_path / "run", FAKES, strike)
     assert "was not finished within 2 s" in str(caught.value)
 
 
-def _children(argument: str) -> list[int]:
-    import psutil
+def _after_a_second(node: str, blow: signal.Signals, monkeypatch: pytest.MonkeyPatch) -> Callable[[Progress], None]:
+    """Strikes a node once, in the first step that ends beyond a second of the log, however fast that is played."""
+    monkeypatch.setattr("fbn_bringup.rundir.Meter.PERIOD_S", 0.0)
+    struck: list[int] = []
 
-    return [p.pid for p in psutil.Process().children() if argument in " ".join(p.cmdline())]
+    def strike(progress: Progress) -> None:
+        if progress.log_s > 1.0 and not struck:
+            struck.extend(p.pid for p in psutil.Process().children() if f"__node:={node}" in " ".join(p.cmdline()))
+            for pid in struck:
+                os.kill(pid, blow)
+
+    return strike
 
 
 def test_malformed_messages_in_a_log_are_answered_alike_in_both_replays(tmp_path: Path) -> None:

@@ -212,6 +212,8 @@ def _listed(reader: BagReader) -> str:
 class Meter:
     """Calls ``on_progress`` a few times a second."""
 
+    PERIOD_S = 0.2  # s of wall clock between two calls
+
     def __init__(self, reader: BagReader, on_progress: OnProgress | None) -> None:
         self.begin = time.monotonic()
         self._start_ns, self._total_s = reader.start_ns, seconds(reader.end_ns - reader.start_ns)
@@ -229,6 +231,6 @@ class Meter:
         """The replay has come to this log time."""
         now = time.monotonic()
         if self._call is not None and now >= self._due:
-            self._due = now + 0.2
+            self._due = now + self.PERIOD_S
             log_s = max(0.0, seconds(log_time_ns - self._start_ns))
             self._call(Progress(log_s, self._total_s, log_s / max(self.wall_s, 1e-9), text))
