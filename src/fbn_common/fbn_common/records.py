@@ -302,6 +302,8 @@ class TrackedFeature:
     last_seen_ns: int
     position: Vec3 = shaped(3)
     covariance: Mat3 = shaped(3, 3)
+    rival_probability: float = 0.0  # that it lies at the other elevation that its echoes leave open; 0: there is none
+    rival_position: Vec3 = zeros(3)  # there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
