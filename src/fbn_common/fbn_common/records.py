@@ -183,16 +183,16 @@ class PredictedMotion(Record):
 class VehicleParameters(Record):
     """The 15 parameters of :class:`PredictedMotion`, valid from the stamp on, and further ones of compass and water.
 
-    Further: coefficients of the compass's deviation by heading (1, sin, cos, sin 2, cos 2) [rad], and the top layer's
-    own motion, east and north [m/s].
+    Further: coefficients of the compass's deviation by heading (1, sin, cos, sin 2, cos 2) [rad], the steady part of
+    the water's velocity, about which it wanders, and the top layer's own motion, both east and north [m/s].
     """
 
     ros_type: ClassVar[str] = "fbn_msgs/msg/VehicleParameters"
     frame_id: str
     mean: Array = shaped(15)
     covariance: Array = shaped(15, 15)
-    further: Array = zeros(7)
-    further_covariance: Array = zeros(7, 22)  # with the 15, then among themselves; all zero = not stated
+    further: Array = zeros(9)
+    further_covariance: Array = zeros(9, 24)  # with the 15, then among themselves; all zero = not stated
 
 
 # --- dead reckoning and reference ------------------------------------------------------------------------
