@@ -35,7 +35,7 @@ CONTRACT = {
     "ReferenceFix": "header xy covariance marginal",
     "Datum": "header latitude longitude height",
     "Innovation": "header sensor innovation sigma nis dof verdict reason",
-    "TrackedFeature": "key stage detections position covariance first_seen last_seen",
+    "TrackedFeature": "key stage detections position covariance first_seen last_seen rival_probability rival_position",
     "TrackedFeatures": "header pings features",
     "CompositeFeature": "key detections expected first_seen last_seen",
     "SweptArea": "cell_size origin width height scans",

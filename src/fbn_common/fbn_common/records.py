@@ -254,16 +254,16 @@ class PredictedMotion(Packed):
 class VehicleParameters(Record):
     """The 15 parameters of :class:`PredictedMotion`, valid from the stamp on, and further ones of compass and water.
 
-    Further: coefficients of the compass's deviation by heading (1, sin, cos, sin 2, cos 2) [rad], and the top layer's
-    own motion, east and north [m/s].
+    Further: coefficients of the compass's deviation by heading (1, sin, cos, sin 2, cos 2) [rad], the steady part of
+    the water's velocity, about which it wanders, and the top layer's own motion, both east and north [m/s].
     """
 
     ros_type: ClassVar[str] = "fbn_msgs/msg/VehicleParameters"
     frame_id: str
     mean: Array = shaped(15)
     covariance: Array = shaped(15, 15)
-    further: Array = zeros(7)
-    further_covariance: Array = zeros(7, 22)  # with the 15, then among themselves; all zero = not stated
+    further: Array = zeros(9)
+    further_covariance: Array = zeros(9, 24)  # with the 15, then among themselves; all zero = not stated
 
 
 # --- dead reckoning and reference ------------------------------------------------------------------------
@@ -376,6 +376,8 @@ class TrackedFeature:
     last_seen_ns: int
     position: Vec3 = shaped(3)
     covariance: Mat3 = shaped(3, 3)
+    rival_probability: float = 0.0  # that it lies at the other elevation that its echoes leave open; 0: there is none
+    rival_position: Vec3 = zeros(3)  # there
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,18 +9,20 @@ from hypothesis import strategies as st
 
 from fbn_common.lie import matrix_from_rpy, so3_log
 from fbn_common.motion_ekf.adopt import adopt_covariance, gained_information, joint_covariance, usable_parameters
+from fbn_common.motion_ekf.covariance import wander
 from fbn_common.motion_ekf.layout import (
     DEVIATION,
     ESTIMATED_REFERENCE,
     GRID_NS,
-    LAYER,
     OWN,
     SIZE_REFERENCE,
     SNAPSHOT_NS,
+    STEADY,
     WATER,
     X_DEVIATION,
     X_PARAMETERS,
     X_SIZE,
+    X_STEADY,
     X_VELOCITY,
     Config,
     Kind,
@@ -39,18 +41,20 @@ from fbn_common.motion_ekf.measure import (
 from fbn_common.motion_ekf.monitor import Watch
 from fbn_common.motion_ekf.parameters import CompassParameters, DepthParameters, SurfaceParameters, considered
 from fbn_common.motion_ekf.propagate import propagate, rotation_of, set_rotation
+from fbn_common.motion_ekf.start import first_state
 from fbn_common.motion_ekf.timeline import MotionLog
 from fbn_common.motion_ekf.warm_up import standstill
 from fbn_common.records import VehicleParameters, Verdict
 from fbn_common.types import Array
 
 N = SIZE_REFERENCE
+TAU = np.array([300.0] * 5 + [np.inf] * 2 + [300.0] * 8)
 CONFIG = Config(
     ESTIMATED_REFERENCE, np.tile([0, ESTIMATED_REFERENCE], (len(Kind), 1)), SNAPSHOT_NS, np.full(15, 1e-6),
-    np.full(15, 1e3), 1e-6, np.full(13, 300.0), np.full(13, 0.01), 1.18, 0.0, 2.0, 0.2, 0.7, 0.0,
+    np.full(15, 1e3), 1e-6, 0.04, 300.0, TAU, np.full(15, 0.01), 1.18, 0.0, 2.0, 0.2, 0.7, 0.0,
     np.full((4, len(Kind)), 50.0), np.full(len(Kind), 1e18), 0.3 * np.ones((len(Kind), 3)), 0.1, 3.0, 1.0, True, 60.0,
 )  # fmt: skip
-floats = st.lists(st.floats(-1.0, 1.0), min_size=40, max_size=40).map(np.array)
+floats = st.lists(st.floats(-1.0, 1.0), min_size=42, max_size=42).map(np.array)
 DATA = {
     Kind.COMPASS: np.concatenate((matrix_from_rpy(np.array([0.1, -0.1, 0.7])).ravel(), 0.01 * np.eye(3).ravel())),
     Kind.DEPTH: np.array([-3.0, 0.01]),
@@ -66,7 +70,7 @@ def state(u: Array) -> Array:
     set_rotation(x, matrix_from_rpy(u[3:6]))
     x[X_VELOCITY : X_VELOCITY + 6] = u[6:12]
     x[X_PARAMETERS:X_DEVIATION] = 0.5 + 0.2 * u[12:27]
-    x[X_DEVIATION:] = 0.01 * u[27:34]
+    x[X_DEVIATION:] = 0.01 * u[27:36]
     return x
 
 
@@ -265,14 +269,14 @@ def test_deviation_has_its_whole_variance_at_every_heading() -> None:
     _, variance = considered(compass, DepthParameters(), SurfaceParameters())
     for yaw in np.linspace(-3.0, 3.0, 7):
         waves = deviation_waves(matrix_from_rpy(np.array([0.0, 0.0, yaw])))
-        assert waves**2 @ variance[DEVIATION - OWN : LAYER - OWN] == pytest.approx(compass.deviation**2)
+        assert waves**2 @ variance[DEVIATION - OWN : STEADY - OWN] == pytest.approx(compass.deviation**2)
 
 
 def test_a_deviating_compass_is_turned_about_the_vertical_by_each_of_its_coefficients() -> None:
     """Against a compass that really deviates: the innovation is what the Jacobian says, to second order of 1e-4 rad."""
     r = matrix_from_rpy(np.array([0.1, -0.1, 0.7]))
     for i, wave in enumerate(deviation_waves(r)):
-        x, size = state(np.zeros(40)), 1e-4
+        x, size = state(np.zeros(42)), 1e-4
         set_rotation(x, r)
         DATA[Kind.COMPASS][:9] = (matrix_from_rpy(np.array([0.0, 0.0, size * wave])) @ r).ravel()
         nu, _, h = innovation(Kind.COMPASS, x)
@@ -280,28 +284,70 @@ def test_a_deviating_compass_is_turned_about_the_vertical_by_each_of_its_coeffic
         np.testing.assert_allclose(nu, size * h[:, DEVIATION + i], atol=1e-8)
 
 
-def test_the_waters_walk_grows_with_the_waters_own_speed() -> None:
+def test_the_steady_waters_walk_grows_with_the_waters_own_speed() -> None:
     """Over one step without motion: the floor and the share of the mean square, P's own part in it as well."""
     motions = MotionLog()
     motions.put(standstill(0))
-    share = CONFIG.water_share
     for speed in (0.0, 0.3):
-        x, p = state(np.zeros(40)), 1e-4 * np.eye(N)
-        x[X_PARAMETERS:X_DEVIATION] = 0.0
-        x[X_PARAMETERS + 12] = speed
+        x, p = state(np.zeros(42)), 1e-4 * np.eye(N)
+        x[X_STEADY] = speed
         propagate(x, p, motions.rows, 1, 0.0, 1.0, 0.01, CONFIG)
-        expected = 0.01 * (1e-6 + share * (0.5 * speed**2 + 1e-4))
-        assert p[WATER + 1, WATER + 1] - 1e-4 == pytest.approx(expected, rel=1e-6)
+        square = 0.5 * speed**2 + 1e-4
+        expected = 0.01 * (1e-6 + CONFIG.water_share * square)
+        assert p[STEADY + 1, STEADY + 1] - 1e-4 == pytest.approx(expected, rel=1e-6)
+        reverted = 1e-4 * 0.01 / 300.0  # of the water to its steady part
+        assert p[WATER + 1, STEADY + 1] - reverted == pytest.approx(expected, rel=1e-3)  # the water goes along
+
+
+def test_water_left_alone_comes_to_wander_about_its_steady_part_however_long_the_steps() -> None:
+    """Closed form: after time t the offset has shrunk by exp(-t/tau), and its variance goes to the stationary one."""
+    config = CONFIG._replace(walk=np.zeros(15), water_share=0.0)
+    speed, ends = 0.3, []
+    for steps in (1, 600):
+        x, p = state(np.zeros(42)), 1e-12 * np.eye(N)
+        x[X_STEADY], x[X_PARAMETERS + 12], x[X_PARAMETERS + 13] = speed, speed + 0.1, -0.2
+        for _ in range(steps):
+            wander(x, p, 600.0 / steps, config)
+        ends.append((x, p))
+    (x, p), (stepped, p_stepped) = ends
+    left = np.exp(-600.0 / config.wander_time)
+    np.testing.assert_allclose(x[X_PARAMETERS + 12 : X_DEVIATION - 1], [speed + 0.1 * left, -0.2 * left], rtol=1e-12)
+    stationary = config.wander * 0.5 * speed**2
+    assert p[WATER, WATER] == pytest.approx(stationary * (1.0 - left**2), rel=1e-6)
+    np.testing.assert_allclose(stepped, x, rtol=1e-12)
+    np.testing.assert_allclose(p_stepped, p, rtol=1e-9, atol=1e-18)
+
+
+def test_wandering_is_the_transition_of_a_gauss_markov_process_about_another_state() -> None:
+    p, config = covariance(5), CONFIG._replace(walk=np.zeros(15), water_share=0.0, wander=0.0)
+    f, k = np.eye(N), np.exp(-40.0 / CONFIG.wander_time)
+    for i in range(2):
+        f[WATER + i, WATER + i], f[WATER + i, STEADY + i] = k, 1.0 - k
+    expected = f @ p @ f.T
+    wander(state(np.zeros(42)), p, 40.0, config)
+    np.testing.assert_allclose(p, expected, atol=1e-15)
+
+
+def test_water_of_the_prior_is_steady_but_for_its_wandering() -> None:
+    """What is known of the steady part, and the variance by which the water wanders about it, make up the prior."""
+    compass = np.concatenate((np.eye(3).ravel(), 0.01 * np.eye(3).ravel()))
+    prior = VehicleParameters(0, "map", np.arange(15.0), covariance(3)[:15, :15].copy())
+    p = first_state(0, compass, None, prior, np.zeros(6), 1.0, np.ones(15), 0.04, 5).covariance
+    known = p[WATER : WATER + 2, WATER : WATER + 2]
+    steady = p[STEADY : STEADY + 2, STEADY : STEADY + 2]
+    about = known + steady - 2.0 * p[WATER : WATER + 2, STEADY : STEADY + 2]
+    np.testing.assert_allclose(known, prior.covariance[12:14, 12:14], atol=1e-11)
+    np.testing.assert_allclose(about, 0.04 * steady, atol=1e-12)
 
 
 def test_parameters_with_what_is_further_known_are_one_gaussian_and_without_the_old_fifteen() -> None:
-    c = covariance(3)[:22, :22]
-    known = VehicleParameters(0, "map", np.ones(15), c[:15, :15].copy(), np.zeros(7), c[15:].copy())
+    c = covariance(3)[:24, :24]
+    known = VehicleParameters(0, "map", np.ones(15), c[:15, :15].copy(), np.zeros(9), c[15:].copy())
     np.testing.assert_array_equal(joint_covariance(known), c)
     bare = VehicleParameters(0, "map", np.ones(15), c[:15, :15].copy())
     np.testing.assert_array_equal(joint_covariance(bare), c[:15, :15])
     assert usable_parameters(known)
     assert usable_parameters(bare)
-    for spoilt in (np.full(7, np.nan), np.zeros(7)):
+    for spoilt in (np.full(9, np.nan), np.zeros(9)):
         wrong = VehicleParameters(0, "map", np.ones(15), c[:15, :15].copy(), spoilt, -c[15:])
         assert not usable_parameters(wrong)

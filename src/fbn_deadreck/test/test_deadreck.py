@@ -261,10 +261,10 @@ def test_missing_motions_are_stepped_over_with_doubt(twin: Twin) -> None:
 def test_a_deviation_told_by_reference_turns_yaw_without_a_jump(
     sailed: Sailed, twin: Twin, voyage: tuple[list[Output], Deadreck]
 ) -> None:
-    told, deviation = START_NS + 30_000_000_000, np.zeros(7)
+    told, deviation = START_NS + 30_000_000_000, np.zeros(9)
     deviation[0] = 0.02
     belief = prior(PredictParameters().dynamics, PredictParameters().doubt)
-    known = np.hstack((np.zeros((7, 15)), np.diag([0.005**2] * 5 + [0.1**2] * 2)))
+    known = np.hstack((np.zeros((9, 15)), np.diag([0.005**2] * 5 + [0.1**2] * 4)))
     record = VehicleParameters(told, "map", *belief, deviation, known)
     without = odometry(voyage[0])
     lines = odometry(sailed(sorted([*on_time(twin), (told, "predict/parameters", record)], key=lambda a: a[0]))[0])

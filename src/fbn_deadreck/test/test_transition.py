@@ -38,7 +38,8 @@ N = SIZE_REFERENCE
 def config() -> Config:
     """A filter's, with nothing but the transition left."""
     base = MotionFilter(FilterParameters(), {}, 4).config()
-    return base._replace(estimated=ESTIMATED_REFERENCE, walk=np.zeros(15), water_share=0.0, tau=np.full(13, 1e15))
+    still = base._replace(walk=np.zeros(15), water_share=0.0, wander_time=1e15, tau=np.full(15, 1e15))
+    return still._replace(estimated=ESTIMATED_REFERENCE)
 
 
 CONFIG = config()
@@ -62,7 +63,7 @@ K = 250
 
 
 def error(a: Array, b: Array) -> Array:
-    """``b (-) a`` (34,)."""
+    """``b (-) a`` (36,)."""
     turn = so3_log(np.ascontiguousarray(rotation_of(a).T @ rotation_of(b)))
     return np.concatenate((b[:3] - a[:3], turn, b[X_VELOCITY:] - a[X_VELOCITY:]))
 

@@ -50,6 +50,18 @@ def _tracked(record: r.TrackedFeatures) -> Iterator[Any]:
     for feature in record.features:
         yield _ellipsoid(feature.position, feature.covariance, COLOURS[feature.stage], feature.stage.name.lower())
         yield label(feature.position, f"{feature.key} ({feature.detections})")
+        if feature.rival_probability > 0.0:
+            yield _rival(feature)
+
+
+def _rival(feature: r.TrackedFeature) -> Any:
+    """A line to where a feature may lie instead, the fainter the less likely."""
+    colour = (*COLOURS[feature.stage][:3], 0.2 + 0.8 * feature.rival_probability)
+    line = Marker(
+        ns="rival", type=Marker.LINE_STRIP, pose=_still(), scale=vector((0.1, 0.0, 0.0)), color=colour_of(colour)
+    )
+    line.points = [point(feature.position), point(feature.rival_position)]
+    return line
 
 
 def _composite(record: r.CompositeMeasurement) -> Iterator[Any]:

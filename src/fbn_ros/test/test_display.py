@@ -55,6 +55,15 @@ def test_an_ellipsoid_spans_two_standard_deviations_each_way() -> None:
     assert sorted((sphere.scale.x, sphere.scale.y, sphere.scale.z)) == pytest.approx([2.0, 4.0, 8.0])
 
 
+def test_a_line_leads_to_where_a_feature_may_lie_instead_and_none_to_what_has_no_rival() -> None:
+    known = replace(example(r.TrackedFeature, RNG), rival_probability=0.0)
+    open_ = replace(known, key=2, rival_probability=0.25, rival_position=known.position + np.array([0.0, 0.0, 3.0]))
+    markers = markers_of(r.TrackedFeatures(0, "odom", 3, (known, open_))).markers[1:]
+    (line,) = (m for m in markers if m.type == Marker.LINE_STRIP)
+    here, there = line.points
+    assert (here.x, here.y) == (there.x, there.y) and there.z - here.z == pytest.approx(3.0)
+
+
 @pytest.mark.parametrize("kind", [r.FeatureMap, r.MatchHypotheses])
 def test_the_map_and_the_hypotheses_are_drawn_with_labels(kind: type[r.Record]) -> None:
     markers = markers_of(example(kind, RNG, 2)).markers

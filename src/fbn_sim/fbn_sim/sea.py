@@ -33,6 +33,7 @@ class Sea:
     current_direction: float | None = param(None, "rad", "towards which it flows, east = 0; none = drawn", "scenario")
     current_variation: float = param(0.15, "-", "slow variation, as a part of the mean speed", "tidal basin, assumed")
     current_time_constant: float = param(900.0, "s", "correlation time of that variation", "tidal basin, assumed")
+    current_walk: float = param(0.0, "m/s", "standard deviation per root hour of a random walk besides", "off")
     eddy_fraction: float = param(0.15, "-", "eddies' speed, as a part of the mean speed", "assumed")
     eddy_size: float = param(60.0, "m", "their typical wavelength", "assumed")
     wind_fraction: float = param(0.5, "-", "wind-driven surface current, as a part of the mean speed", "assumed")
@@ -68,8 +69,11 @@ def draw_sea(sea: Sea, depth: float, duration_s: float, seed: int) -> SeaTable:
     direction = drawn if sea.current_direction is None else sea.current_direction
     mean = speed * np.array([np.cos(direction), np.sin(direction)])
     varying = gauss_markov(rng, (n, 2), TABLE_STEP_S, sea.current_variation * speed, sea.current_time_constant)
+    steps = sea.current_walk * np.sqrt(TABLE_STEP_S / 3600.0)
+    walked = np.cumsum(steps * generator(seed, "sea", "walk").standard_normal((n, 2)), axis=0)
     gusts = gauss_markov(rng, (n, 2), TABLE_STEP_S, sea.wind_fraction * speed, sea.current_time_constant / 3.0)
-    return SeaTable(mean + varying, gusts, sea.wind_depth, depth, _eddies(sea, speed, rng), _waves(sea, depth, rng))
+    tide = mean + varying + walked
+    return SeaTable(tide, gusts, sea.wind_depth, depth, _eddies(sea, speed, rng), _waves(sea, depth, rng))
 
 
 def _eddies(sea: Sea, speed: float, rng: np.random.Generator) -> Array:

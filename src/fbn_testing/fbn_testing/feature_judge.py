@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -15,6 +16,8 @@ from fbn_sim.simulation import Simulation
 from fbn_testing.feature_runs import Outcome
 
 PINGS_IN_VIEW = 10  # looks after which a true feature is due to be found
+ECHOES = 7  # after which the tracker has no excuse left: `infant.detections`
+SAME_RANGE, SAME_BEARING = 0.5, 0.07  # m, rad: an echo so near to where a feature is, is its own: four sigmas and bias
 NEAR = 2.0  # m, and four sigmas that way: what is farther from every static thing is false
 LASTING = 1e8  # s: what lives longer is static
 
@@ -54,6 +57,8 @@ class Verdict:
     seed: int
     due: int = 0  # (dive, feature) pairs in view for ten pings or more
     promoted: int = 0  # of those
+    heard: int = 0  # of those due, the ones that echoed seven times or more
+    heard_promoted: int = 0  # and were promoted
     patches: int = 0  # other static things found: patches of the bed that echo steadily
     passing: int = 0  # fish or bubbles that were there while they were looked at, taken for static things
     false: int = 0  # features where nothing was
@@ -81,8 +86,9 @@ def judge(outcome: Outcome) -> Verdict:
             else:
                 found.add((dive_at(simulation, c.stamp_ns), target))
                 verdict.found.append(placed(c, number, target, simulation))
-    due = in_view(simulation)
+    due, heard = in_view(simulation)
     verdict.due, verdict.promoted = len(due), len(due & found)
+    verdict.heard, verdict.heard_promoted = len(heard), len(heard & found)
     verdict.patches, verdict.passing, verdict.false = len(patches), len(passing), len(false - passing)
     verdict.hours = (simulation.entries[-1][0] - simulation.entries[0][0]) / 3.6e12
     return verdict
@@ -166,20 +172,30 @@ def dive_at(simulation: Simulation, stamp_ns: int) -> int:
     return sum(dive.start_ns <= stamp_ns for dive in simulation.dives)
 
 
-def in_view(simulation: Simulation) -> set[tuple[int, int]]:
-    """(dive, feature) pairs with ten looks or more from under water."""
+def in_view(simulation: Simulation) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+    """(dive, feature) pairs with ten looks or more from under water; and those that echoed in seven of them or more."""
     looks: dict[tuple[int, int], set[int]] = {}
-    arrays = simulation.scenario.sensors.sonar.arrays
+    echoes: dict[tuple[int, int], set[int]] = {}
     for _, _, record in simulation.records():
         dive = dive_at(simulation, record.stamp_ns)
         if not isinstance(record, SonarDetections) or not dive or record.stamp_ns > simulation.dives[dive - 1].end_ns:
             continue
-        motion, array = simulation.truth.at(record.stamp_ns), arrays[record.frame_id]
-        R = matrix_from_quaternion(motion.orientation[0])
-        places = (simulation.truth.features.positions - motion.position[0] - R @ array.position_base) @ R
-        for target, there in enumerate(places @ array.rotation_base_array):
-            r, phi, theta = polar(there)
-            inside = array.range_min < r < array.range_max and array.bearing_min < phi < array.bearing_max
-            if inside and abs(theta) < 0.5 * array.lobe_width:
-                looks.setdefault((dive, target), set()).add(record.ping)
-    return {pair for pair, pings in looks.items() if len(pings) >= PINGS_IN_VIEW}
+        for target, echoed in seen(simulation, record):
+            looks.setdefault((dive, target), set()).add(record.ping)
+            if echoed:
+                echoes.setdefault((dive, target), set()).add(record.ping)
+    due = {pair for pair, pings in looks.items() if len(pings) >= PINGS_IN_VIEW}
+    return due, {pair for pair in due if len(echoes.get(pair, ())) >= ECHOES}
+
+
+def seen(simulation: Simulation, scan: SonarDetections) -> Iterator[tuple[int, bool]]:
+    """True features in a scan's range, sector and lobe, by row; and whether one of its echoes is theirs."""
+    motion, array = simulation.truth.at(scan.stamp_ns), simulation.scenario.sensors.sonar.arrays[scan.frame_id]
+    R = matrix_from_quaternion(motion.orientation[0])
+    places = (simulation.truth.features.positions - motion.position[0] - R @ array.position_base) @ R
+    for target, there in enumerate(places @ array.rotation_base_array):
+        r, phi, theta = polar(there)
+        inside = array.range_min < r < array.range_max and array.bearing_min < phi < array.bearing_max
+        if inside and abs(theta) < 0.5 * array.lobe_width:
+            near = (abs(e.range - r) < SAME_RANGE and abs(e.bearing - phi) < SAME_BEARING for e in scan.detections)
+            yield target, any(near)

@@ -144,14 +144,15 @@ def places(verdicts: dict[str, list[Verdict]]) -> Table:
 
 def found(verdicts: dict[str, list[Verdict]]) -> Table:
     """What was found of what is there, and what is not."""
-    made = _table("Found", "in view for 10 pings", "promoted", "worst seed", "of nothing in 10 min",
-                  "fish and bubbles", "patches of the bed")  # fmt: skip
+    made = _table("Found", "in view for 10 pings", "promoted", "worst seed", "7 echoes too", "promoted",
+                  "of nothing in 10 min", "fish and bubbles", "patches of the bed")  # fmt: skip
     for name, seeds in verdicts.items():
-        due, hours = sum(v.due for v in seeds), sum(v.hours for v in seeds)
+        due, heard, hours = sum(v.due for v in seeds), sum(v.heard for v in seeds), sum(v.hours for v in seeds)
         worst = min(v.promoted / max(v.due, 1) for v in seeds)
         false = sum(v.false for v in seeds)
         made.add_row(
             name, str(due), f"{sum(v.promoted for v in seeds) / max(due, 1):.1%}", f"{worst:.0%}",
+            str(heard), f"{sum(v.heard_promoted for v in seeds) / max(heard, 1):.1%}",
             f"{false / (6.0 * hours):.2f} ({false} in {hours:.1f} h)",
             f"{sum(v.passing for v in seeds) / (6.0 * hours):.2f}", str(sum(v.patches for v in seeds)),
         )  # fmt: skip

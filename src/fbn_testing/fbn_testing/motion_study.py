@@ -3,11 +3,13 @@
 python -m fbn_testing.motion_study transit --seeds 0:50 --jobs 2 --keep transits
 python -m fbn_testing.motion_study transit --seeds 0:50 --current 0.2 --compare --figure transit.png
 python -m fbn_testing.motion_study transit --seeds 0:50 --without-considered
+python -m fbn_testing.motion_study transit --seeds 0:50 --as-stated
 python -m fbn_testing.motion_study faults
 
 Only predict, dead reckoning and reference run, on ``no_map_transit``: four calibration dives, then 1.7 km under
-water; ``--without-considered`` also runs them with the sensors' lasting errors taken for white noise; ``faults`` spoils
-each sensor in each way for 25 s of a short voyage.  ``--scenario`` and ``--set`` change the
+water; ``--without-considered`` also runs them with the sensors' lasting errors taken for white noise; ``--as-stated``
+makes compass, GPS and water as uncertain as the estimators' parameters say; ``faults`` spoils each sensor in each way
+for 25 s of a short voyage.  ``--scenario`` and ``--set`` change the
 simulator's and the estimators' parameters (as in ``fbn``'s ``--set``).
 """
 
@@ -26,6 +28,7 @@ from fbn_bringup.ui import number, out, progress, table
 from fbn_common import chi_square
 from fbn_testing.motion_faults import BEGIN_S, END_S, KINDS, SENSORS, Cell, cell, heard_with, listen, voyage
 from fbn_testing.motion_voyage import NIS_GROUPS, Judged, front_half, in_map, judge, navigate, transit
+from fbn_testing.motion_world import as_stated
 from fbn_testing.seeds import How, add_options, run_seeds, seed_range
 
 MEASURES = {
@@ -118,6 +121,9 @@ def figure(path: Path, title: str, groups: dict[str, list[Judged]]) -> None:
 
 def _transit(a: argparse.Namespace) -> None:
     seeds, scenario, settings = seed_range(a.seeds), assignments(a.scenario), assignments(a.set)
+    where = "no_map_transit"
+    if a.as_stated:
+        scenario, where = as_stated(a.current) | scenario, "a world as stated"
     kinds: dict[str, tuple[dict[str, Any], bool]] = {"parameters shared": (settings, True)}
     if a.compare:
         kinds["not shared"] = (settings, False)
@@ -125,7 +131,7 @@ def _transit(a: argparse.Namespace) -> None:
         kinds["lasting errors as white noise"] = (AS_WHITE | settings, True)
     groups = {}
     for label, (chosen, shared) in kinds.items():
-        title = f"no_map_transit, current {a.current:g} m/s, {label}"
+        title = f"{where}, current {a.current:g} m/s, {label}"
         one = partial(voyage_of, a.current, scenario, chosen, shared)
         groups[label] = run_seeds(one, seeds, title, How(a.jobs, a.keep))
         report(title, groups[label])
@@ -176,6 +182,7 @@ def main() -> None:
     p.add_argument("--current", type=float, default=0.0, metavar="M_S", help="mean speed of the deep current")
     p.add_argument("--compare", action="store_true", help="also without shared parameters")
     p.add_argument("--without-considered", action="store_true", help="also with lasting errors taken for white noise")
+    p.add_argument("--as-stated", action="store_true", help="in a world as uncertain as the parameters say")
     p.add_argument("--figure", type=Path, metavar="PNG", help="error against distance")
     p.add_argument("--scenario", action="append", default=[], metavar="NAME=VALUE", help="of the simulator")
     p.add_argument("--set", action="append", default=[], metavar="NODE.NAME=VALUE", help="of an estimator")

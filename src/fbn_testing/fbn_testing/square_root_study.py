@@ -1,6 +1,7 @@
 """A square-root filter against an information-form one, on the linearised windows of the tracker itself.
 
-python -m fbn_testing.square_root_study --seeds 0:10 --figure square_root.png
+python -m fbn_testing.square_root_study --seeds 0:50 --figure square_root.png
+python -m fbn_testing.square_root_study --seeds 0:50 --jobs 2 --keep square_root
 
 Of each simulated mission (``depth_of_features``) one window of every length is taken as the tracker had linearised
 it, whitened.  QR of that Jacobian and Cholesky of its information matrix are each done in double and in single
@@ -19,13 +20,12 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track as progress
 from rich.table import Table
 
 from fbn_common.types import Array, nanoseconds
 from fbn_testing.feature_runs import Heard, hear, tracker_of
 from fbn_testing.gtsam_window import DRIFT, feature_key, graph_of, pose_key, values_of
-from fbn_testing.seeds import seed_range
+from fbn_testing.seeds import How, add_options, run_seeds, seed_range
 from fbn_testing.square_root import (
     Conditions,
     Errors,
@@ -63,6 +63,21 @@ class Case(NamedTuple):
     arithmetic: str
     conditions: Conditions
     errors: dict[str, Errors]  # by way
+
+
+class Mission(NamedTuple):
+    """One seed: all its windows, and the time they took."""
+
+    cases: list[Case]
+    cpu_s: float
+
+
+def examine_mission(seed: int) -> Mission:
+    """Every window of one seed's mission, examined."""
+    began = time.process_time()
+    taken = windows(hear("depth_of_features", seed, {"mission.limit": LIMIT_S}))
+    cases = [case for length, window in taken for case in examine(linearised(window), length)]
+    return Mission(cases, time.process_time() - began)
 
 
 def windows(heard: Heard) -> Iterator[tuple[int, Window]]:
@@ -160,18 +175,16 @@ def draw(cases: list[Case], target: Path) -> None:
 def main() -> None:
     """Print the table, draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", default="0:10", help="first:last, the last one excluded")
+    parser.add_argument("--seeds", default="0:50", help="first:last, the last one excluded")
     parser.add_argument("--figure", type=Path, help="PNG: errors over condition numbers")
+    add_options(parser)
     given = parser.parse_args()
-    seeds = seed_range(given.seeds)
-    began, cases = time.process_time(), list[Case]()
-    for seed in progress(seeds, description="missions", console=Console(stderr=True)):
-        for length, window in windows(hear("depth_of_features", seed, {"mission.limit": LIMIT_S})):
-            cases += examine(linearised(window), length)
+    missions = run_seeds(examine_mission, seed_range(given.seeds), "missions", How(given.jobs, given.keep))
+    cases = [case for m in missions for case in m.cases]
     console.print(table(cases))
     if given.figure:
         draw(cases, given.figure)
-    console.print(f"[dim]{(time.process_time() - began) / len(seeds):.1f} s of CPU time a seed")
+    console.print(f"[dim]{np.mean([m.cpu_s for m in missions]):.1f} s of CPU time a seed")
 
 
 if __name__ == "__main__":

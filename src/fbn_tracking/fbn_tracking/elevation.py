@@ -54,16 +54,27 @@ def likelier_side(track: Track, q: Vec3, around: Surroundings) -> Vec3:
 
     Ranges hardly tell the two apart; floor, surface, misses and what stands on floors do.
     """
+    _, costs = both_sides(track, q, around)
+    return q if costs[0] <= costs[1] else mirrored(q)
+
+
+def mirrored(q: Vec3) -> Vec3:
+    """The same range and bearing at the other elevation."""
+    return np.array([q[0], q[1], -q[2]])
+
+
+def both_sides(track: Track, q: Vec3, around: Surroundings) -> tuple[Array, Array]:
+    """World points (2, 3) of ``q`` and of the same at the other elevation, and minus log posteriors (2,)."""
     first, detections = track.detections[0], track.detections
     R, p = around.stack(d.look for d in detections)
-    sides = np.array([q, [q[0], q[1], -q[2]]])
+    sides = np.array([q, mirrored(q)])
     t = np.array([(d.stamp_ns - first.stamp_ns) / NS for d in detections])
     z, free, none = widened(detections, around), np.zeros((2, 2)), np.zeros((3, 3))
     at_rest = [np.concatenate((side, np.zeros(2))) for side in sides]
     energies = [normal_equations(x, R, p, t, z, free, np.zeros(3), none)[2] for x in at_rest]
     points = np.array([world_point(R[0], p[0], side)[0] for side in sides])
     prior = misses_costs(track.misses, points, around) + place_costs(points, 0.0, track, around)
-    return np.asarray(sides[np.argmin(0.5 * np.array(energies) + prior)])
+    return points, 0.5 * np.array(energies) + prior
 
 
 def told(root: Array, J: Array, row: int, place: slice, spread: Mat3) -> tuple[Array, Array, Mat3]:

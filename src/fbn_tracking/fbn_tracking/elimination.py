@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fbn_common.kernels import kernel
+from fbn_common.kernels import inner_kernel, kernel
 from fbn_common.lie import so3_exp
 from fbn_common.types import Array, Vec3
 from fbn_tracking.factors import earth_kernel, link_kernel
-from fbn_tracking.geometry import anchored_observation, brought, carried, u_from_theta
+from fbn_tracking.geometry import bring_into, carry_into, observe_anchored_into, u_from_theta
 
 Whole = NDArray[np.int64]
 
@@ -35,7 +35,14 @@ def reduce_columns(A: Array, y: Array, top: int, rows: int, first: int, count: i
     In place on ``A`` (rows, width) and the right side ``y``.  Rows without a share in a column are passed over.  The
     products of a column with all that follow are gathered while the reflection before it passes over the rows.
     """
-    sums, ahead, right, known = np.zeros(width), np.zeros(width), 0.0, False
+    _reduce(A, y, top, rows, first, count, width, np.zeros(width), np.zeros(width))
+
+
+@inner_kernel
+def _reduce(
+    A: Array, y: Array, top: int, rows: int, first: int, count: int, width: int, sums: Array, ahead: Array
+) -> None:
+    right, known = 0.0, False
     for i in range(count):
         p, c = top + i, first + i
         if p >= rows:
@@ -58,7 +65,7 @@ def reduce_columns(A: Array, y: Array, top: int, rows: int, first: int, count: i
         sums, ahead = ahead, sums
 
 
-@kernel
+@inner_kernel
 def _products(A: Array, y: Array, begin: int, rows: int, c: int, sums: Array) -> float:
     """Column ``c``, from row ``begin`` on, times itself and the columns after it (``sums``), and times ``y``."""
     right = 0.0
@@ -70,7 +77,7 @@ def _products(A: Array, y: Array, begin: int, rows: int, c: int, sums: Array) ->
     return right
 
 
-@kernel
+@inner_kernel
 def _reflect(
     A: Array, y: Array, begin: int, rows: int, c: int, beta: float, right: float, sums: Array, ahead: Array
 ) -> float:
@@ -98,7 +105,7 @@ def _reflect(
     return next_right
 
 
-@kernel
+@inner_kernel
 def _add(to: Array, factor: float, row: Array) -> None:
     for j in range(to.shape[0]):
         to[j] += factor * row[j]
@@ -166,13 +173,14 @@ def _rows_of_pose(
     if k == 0:
         r = _base_rows(A, y, r, own, base, T[0], drift)
     r = _earth_rows(A, y, r, own, motion[k], T[k])
+    z, by, room = np.empty(3), np.empty((3, 3, 6)), np.empty((6, 3, 3))
     for d in range(starts[k], starts[k + 1]):
         f, anchor = at[d, 2], at[d, 1]
         by_q = 12 + feature_column[f]
         if at[d, 3]:
             r = _first_rows(A, y, r, by_q, looks[d, 32:], q[f], weak)
         else:
-            r = _look_rows(A, y, r, own, 12 + column[anchor], by_q, looks[d], T[anchor], T[k], q[f])
+            r = _look_rows(A, y, r, own, 12 + column[anchor], by_q, looks[d], T[anchor], T[k], q[f], z, by, room)
     if k + 1 < len(T):
         r = _link_rows(A, y, r, own, after, motion[k + 1], T[k], T[k + 1], drift)
     return r
@@ -267,12 +275,15 @@ def _first_rows(A: Array, y: Array, r: int, by_q: int, z: Array, q: Vec3, weak: 
     return r + 4
 
 
-@kernel
+@inner_kernel
 def _look_rows(
-    A: Array, y: Array, r: int, own: int, anchor: int, by_q: int, look: Array, T_anchor: Array, T: Array, q: Vec3
-) -> int:
-    z = look[32:]
-    s, H_a, H_j, H_f = anchored_observation(T_anchor, T, look[:16].reshape(4, 4), look[16:32].reshape(4, 4), q)
+    A: Array, y: Array, r: int, own: int, anchor: int, by_q: int, look: Array, T_anchor: Array, T: Array, q: Vec3,
+    s: Vec3, by: Array, room: Array,
+) -> int:  # fmt: skip
+    """``s`` (3), ``by`` (3, 3, 6) and ``room`` (6, 3, 3) are written over."""
+    z, H_a, H_j, H_f = look[32:], by[0], by[1], by[2]
+    mount_anchor, mount = look[:16].reshape(4, 4), look[16:32].reshape(4, 4)
+    observe_anchored_into(T_anchor, T, mount_anchor, mount, q, s, H_a, H_j, H_f, room)
     for i in range(3):
         scale = 1.0 / z[2 + i] if i < 2 else z[4] + 3.0 * z[5] * s[2] ** 2
         y[r + i] = (z[i] - s[i]) * scale if i < 2 else -u_from_theta(s[2], z[4], z[5])
@@ -358,13 +369,15 @@ def missing_curvatures(looks: Array, at: Whole, T: Array, q: Array) -> Array:
     Poses fixed.  Residuals bend the energy as much as slopes do: ``u`` is cubic in theta, ranges are even in it.
     """
     step = 0.01
-    E, p, e = np.zeros(q.shape[0]), np.empty(3), np.empty((3, 3))
+    E, p, s, e = np.zeros(q.shape[0]), np.empty(3), np.empty(3), np.empty((3, 3))
     for d in range(at.shape[0]):
         f, z = at[d, 2], looks[d, 32:]
         for i in range(3):
             p[:] = q[f]
             p[2] += (i - 1) * step
-            s = p if at[d, 3] else _seen(looks[d], T[at[d, 1]], T[at[d, 0]], p)
+            s[:] = p
+            if not at[d, 3]:
+                _see(looks[d], T[at[d, 1]], T[at[d, 0]], s)
             e[i, 0], e[i, 1] = (s[0] - z[0]) / z[2], (s[1] - z[1]) / z[3]
             e[i, 2] = u_from_theta(s[2], z[4], z[5])
         for i in range(3):
@@ -373,10 +386,15 @@ def missing_curvatures(looks: Array, at: Whole, T: Array, q: Array) -> Array:
     return np.maximum(E, 0.0)
 
 
-@kernel
-def _seen(look: Array, T_anchor: Array, T: Array, q: Vec3) -> Vec3:
-    """r, phi, theta alone, of an anchored feature from another pose."""
-    c = np.array([q[0] * np.sin(q[1]) * np.cos(q[2]), q[0] * np.sin(q[1]) * np.sin(q[2]), q[0] * np.cos(q[1])])
-    s = brought(look[16:32].reshape(4, 4), brought(T, carried(T_anchor, carried(look[:16].reshape(4, 4), c))))
-    rho2 = s[0] ** 2 + s[1] ** 2
-    return np.array([np.sqrt(rho2 + s[2] ** 2), np.arctan2(np.sqrt(rho2), s[2]), np.arctan2(s[1], s[0])])
+@inner_kernel
+def _see(look: Array, T_anchor: Array, T: Array, s: Vec3) -> None:
+    """An anchored feature's r, phi, theta become those from another pose."""
+    r, sp, cp, st, ct = s[0], np.sin(s[1]), np.cos(s[1]), np.sin(s[2]), np.cos(s[2])
+    s[0], s[1], s[2] = r * sp * ct, r * sp * st, r * cp
+    carry_into(look[:16].reshape(4, 4), s, s)
+    carry_into(T_anchor, s, s)
+    bring_into(T, s, s)
+    bring_into(look[16:32].reshape(4, 4), s, s)
+    x, y, along = s[0], s[1], s[2]
+    rho2 = x**2 + y**2
+    s[0], s[1], s[2] = np.sqrt(rho2 + along**2), np.arctan2(np.sqrt(rho2), along), np.arctan2(y, x)

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fbn_common.kernels import kernel
-from fbn_common.lie import product
+from fbn_common.kernels import inner_kernel, kernel
+from fbn_common.lie import product_into
 from fbn_common.types import Array, Mat2, Mat3, Vec2, Vec3
-from fbn_tracking.geometry import elevation_scale, observe, u_from_theta, world_point
+from fbn_tracking.geometry import elevation_scale, observe_into, see_into, u_from_theta, world_point
 
 _ITERATIONS = 20
 _PROFILE_ITERATIONS = 3  # nearly linear in all but theta, and from one angle to the next
@@ -55,7 +55,7 @@ def symmetric_inverse(H: Array) -> Array:
     return 0.5 * (out + out.T)
 
 
-@kernel
+@inner_kernel
 def whitened(row: int, s: Vec3, z: Array) -> tuple[float, float]:
     """Derivative by the coordinate itself, and residual, of r, phi or u (row 0, 1, 2) in units of its noise."""
     if row < 2:
@@ -72,25 +72,9 @@ def normal_equations(
     ``x`` is r, phi, theta, slack x, y.  ``R`` (n, 3, 3), ``p`` (n, 3): the arrays in the world; ``t`` (n) [s] since
     the first; ``z`` (n, 6): r, phi, their sigmas, elevation shape a, c.  ``memory``: a world point known from before.
     """
-    H, g, energy, static = np.zeros((5, 5)), np.zeros(5), 0.0, 0.0
+    H, g = np.zeros((5, 5)), np.zeros(5)
     point, d_q = world_point(R[0], p[0], x[:3].copy())
-    J, at = np.empty(5), np.empty(3)
-    for i in range(t.shape[0]):
-        at[0], at[1], at[2] = p[i, 0] + x[3] * t[i], p[i, 1] + x[4] * t[i], p[i, 2]
-        s, d = observe(R[i], at, point)
-        by_q = product(d, d_q)
-        for row in range(3):
-            scale, e = whitened(row, s, z[i])
-            if row < 2:
-                static += e * e
-            for k in range(3):
-                J[k] = scale * by_q[row, k]
-            J[3], J[4] = -scale * d[row, 0] * t[i], -scale * d[row, 1] * t[i]
-            energy += e * e
-            for k in range(5):
-                g[k] -= J[k] * e
-                for m in range(k + 1):
-                    H[k, m] += J[k] * J[m]
+    energy, static = _add_looks(x, R, p, t, z, point, d_q, H, g, np.empty((3, 3, 3)), np.empty((3, 5)))
     for k in range(5):
         for m in range(k):
             H[m, k] = H[k, m]
@@ -108,13 +92,60 @@ def normal_equations(
     return H, g, float(energy + gap @ pull), float(static)
 
 
+@inner_kernel
+def _add_looks(
+    x: Array, R: Array, p: Array, t: Array, z: Array, point: Vec3, d_q: Mat3, H: Array, g: Array, by: Array, rows: Array
+) -> tuple[float, float]:
+    """Add what the looks say to the lower half of ``H`` and to ``g``; gives their energy, and that of r and phi alone.
+
+    ``by`` (3, 3, 3) and ``rows`` (3, 5) are written over.
+    """
+    energy, static, at, s, J = 0.0, 0.0, rows[0], rows[1], rows[2]
+    for i in range(t.shape[0]):
+        drifted_into(x, p[i], t[i], at)
+        observe_into(R[i], at, point, s, by[0], by[1])
+        product_into(by[0], d_q, by[2])
+        for row in range(3):
+            scale, e = whitened(row, s, z[i])
+            if row < 2:
+                static += e * e
+            for k in range(3):
+                J[k] = scale * by[2, row, k]
+            J[3], J[4] = -scale * by[0, row, 0] * t[i], -scale * by[0, row, 1] * t[i]
+            energy += e * e
+            for k in range(5):
+                g[k] -= J[k] * e
+                for m in range(k + 1):
+                    H[k, m] += J[k] * J[m]
+    return energy, static
+
+
+@inner_kernel
+def looks_energy(x: Array, R: Array, p: Array, t: Array, z: Array, point: Vec3, at: Vec3, s: Vec3) -> float:
+    """The looks' energy alone, at a fraction of the cost; ``at`` and ``s`` (3) are written over."""
+    energy = 0.0
+    for i in range(t.shape[0]):
+        drifted_into(x, p[i], t[i], at)
+        see_into(R[i], at, point, s)
+        for row in range(3):
+            _, e = whitened(row, s, z[i])
+            energy += e * e
+    return energy
+
+
+@inner_kernel
+def drifted_into(x: Array, p: Vec3, t: float, out: Vec3) -> None:
+    """Where an array was, the slack of ``x`` having acted for ``t`` [s]."""
+    out[0], out[1], out[2] = p[0] + x[3] * t, p[1] + x[4] * t, p[2]
+
+
 @kernel
 def profile(
     thetas: Array, x0: Array, R: Array, p: Array, t: Array, z: Array, drift_information: Mat2
 ) -> tuple[Array, Array]:
     """Energy (m) and world point (m, 3) of the likeliest place at each of the given ``thetas`` (m) [rad]."""
     energies, points = np.empty(thetas.shape[0]), np.empty((thetas.shape[0], 3))
-    free, none = np.array([0, 1, 3, 4]), np.zeros((3, 3))
+    free, none, at, s = np.array([0, 1, 3, 4]), np.zeros((3, 3)), np.empty(3), np.empty(3)
     x = x0.copy()
     for i in range(thetas.shape[0]):
         x[2] = thetas[i]  # all else starts where the angle before left it
@@ -123,8 +154,9 @@ def profile(
             step = cholesky_solve(H[free][:, free], g[free])
             for k in range(4):
                 x[free[k]] += step[k]
-        _, _, energies[i], _ = normal_equations(x, R, p, t, z, drift_information, np.zeros(3), none)
         points[i], _ = world_point(R[0], p[0], x[:3].copy())
+        slack = x[3:].copy()
+        energies[i] = looks_energy(x, R, p, t, z, points[i], at, s) + slack @ (drift_information @ slack)
     return energies, points
 
 

@@ -19,7 +19,7 @@ from fbn_tracking.parameters import FeatureParameters
 from fbn_tracking.track import Detection, Look, Mode, Ping, Track, array_pose
 
 _START = 0.6  # of the half lobe: where the search for either elevation begins
-_SAME = 0.02  # rad: closer optima are one
+SAME = 0.02  # rad: closer optima are one
 _MEMORY_SLACK = 0.05**2 * np.eye(3)  # m^2: a target's own size
 
 
@@ -53,7 +53,7 @@ def find_modes(track: Track, around: Surroundings) -> list[Mode]:
         return [remembered(track, around)]
     modes = sorted(evaluate(track, starting_points(track, around), around), key=lambda mode: mode.cost)
     best, rest = modes[0], modes[1:]
-    rivals = [m for m in rest if abs(m.x[2] - best.x[2]) > _SAME]
+    rivals = [m for m in rest if abs(m.x[2] - best.x[2]) > SAME]
     return [best, *(m for m in rivals if m.cost - best.cost < around.feature.mode_gap)]
 
 

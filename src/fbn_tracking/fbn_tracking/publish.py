@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+from math import exp
+from typing import NamedTuple
+
 import numpy as np
 
 from fbn_common.records import Stage, TrackedFeature, TrackedFeatures
 from fbn_common.types import Array, Mat4, Vec3
-from fbn_tracking.elevation import likelier_side
+from fbn_tracking.elevation import both_sides, likelier_side
 from fbn_tracking.gating import anchored_place
 from fbn_tracking.geometry import anchored_point
 from fbn_tracking.matching import Joint, feature_key, pose_key
-from fbn_tracking.modes import Surroundings
+from fbn_tracking.modes import SAME, Surroundings
 from fbn_tracking.nursery import Nursery
 from fbn_tracking.track import Track, pose_matrix
 from fbn_tracking.window import Window
 
 _SHOWN = 2  # detections from which an infant is worth showing
+_FAR = 50.0  # of costs: less likely than this makes no difference
+
+
+class Rival(NamedTuple):
+    """The other elevation at which a track may lie; probability 0 where there is none."""
+
+    probability: float = 0.0
+    point: Vec3 = np.zeros(3)  # in the world
+
+    @classmethod
+    def of(cls, point: Vec3, cost: float, than: float) -> Rival:
+        """By what it costs against the elevation that is shown (minus log posteriors)."""
+        return cls(1.0 / (1.0 + exp(min(cost - than, _FAR))), point)
 
 
 def tracked_features(
@@ -31,23 +47,26 @@ def tracked_features(
     return TrackedFeatures(motion.stamp_ns, frame_id, pings, tuple(shown))
 
 
-def _record(track: Track, stage: Stage, point: Array, covariance: Array, move: Mat4) -> TrackedFeature:
-    R = move[:3, :3]
+def _record(track: Track, stage: Stage, point: Array, covariance: Array, rival: Rival, move: Mat4) -> TrackedFeature:
+    R, t = move[:3, :3], move[:3, 3]
     return TrackedFeature(
         track.key,
         stage,
         track.seen,
         track.first_seen_ns,
         track.last_seen_ns,
-        R @ point + move[:3, 3],
+        R @ point + t,
         R @ covariance @ R.T,
+        rival.probability,
+        R @ rival.point + t if rival.probability else np.zeros(3),
     )
 
 
 def _infant(track: Track, move: Mat4) -> TrackedFeature:
-    mode = track.modes[0]
+    mode, others = track.modes[0], track.modes[1:]
     stage = Stage.FEATURE if track.memory is not None else Stage.INFANT
-    return _record(track, stage, mode.point, mode.covariance[:3, :3], move)
+    rival = Rival.of(others[0].point, others[0].cost, mode.cost) if others else Rival()
+    return _record(track, stage, mode.point, mode.covariance[:3, :3], rival, move)
 
 
 def sided(window: Window, track: Track, around: Surroundings) -> Vec3:
@@ -60,6 +79,18 @@ def sided(window: Window, track: Track, around: Surroundings) -> Vec3:
     return likelier_side(track, q, around) if swung and around.feature.elevation == "cubic" else q
 
 
+def rival_of(track: Track, q: Vec3, around: Surroundings) -> Rival:
+    """The other elevation of a feature that graduated with both, where it is still likely enough to be carried.
+
+    ``q``: r, phi, theta as shown.  The poses stay as they are.
+    """
+    if len(track.modes) < 2 or 2.0 * abs(q[2]) <= SAME:
+        return Rival()
+    points, costs = both_sides(track, q, around)
+    carried = costs[1] - costs[0] < around.feature.mode_gap
+    return Rival.of(points[1], float(costs[1]), float(costs[0])) if carried else Rival()
+
+
 def _feature(window: Window, track: Track, around: Surroundings, joint: Joint | None, move: Mat4) -> TrackedFeature:
     ka, kf = pose_key(track.anchor), feature_key(track.key)
     T_anchor, q, first = window.T(track.anchor), sided(window, track, around), track.detections[0]
@@ -69,4 +100,5 @@ def _feature(window: Window, track: Track, around: Surroundings, joint: Joint | 
     else:
         point, _, _ = anchored_point(T_anchor, first.look.mount, q)
         covariance = track.modes[0].covariance[:3, :3] if track.modes else np.eye(3)
-    return _record(track, Stage.RETIRED if track.retired else Stage.FEATURE, point, covariance, move)
+    stage = Stage.RETIRED if track.retired else Stage.FEATURE
+    return _record(track, stage, point, covariance, rival_of(track, q, around), move)

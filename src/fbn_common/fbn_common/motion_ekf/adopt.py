@@ -13,10 +13,10 @@ from fbn_common.types import Array
 
 
 def joint_covariance(record: VehicleParameters) -> Array:
-    """Covariance (22, 22) of the 15 parameters and the further ones; (15, 15) where those are not stated."""
+    """Covariance (24, 24) of the 15 parameters and the further ones; (15, 15) where those are not stated."""
     if not record.further_covariance.any():
         return record.covariance
-    joint = np.empty((22, 22))
+    joint = np.empty((24, 24))
     joint[:15, :15], joint[15:] = record.covariance, record.further_covariance
     joint[:15, 15:] = record.further_covariance[:, :15].T
     return joint

@@ -12,10 +12,12 @@ from fbn_common.motion_ekf.layout import (
     LAYER,
     OWN,
     ROTATION,
+    STEADY,
     WATER,
     X_DEVIATION,
     X_PARAMETERS,
     X_SIZE,
+    X_STEADY,
     Config,
 )
 from fbn_common.types import Array, Mat3
@@ -123,18 +125,38 @@ def add_noise(p: Array, by_increment: Mat3, by_rotation: Mat3, noise: Array, w: 
 
 
 @inner_kernel
-def age(x: Array, p: Array, dt: float, config: Config, room: CovarianceScratch) -> None:
-    """Random walks of the parameters and decorrelation of sensors' and surface's own errors, in place.
+def wander(x: Array, p: Array, dt: float, config: Config) -> None:
+    """The water's steady part walks, and the water with it; the water returns to it and wanders about it.  In place.
 
-    The water's walk grows with the water's own speed, of which the filter expects the mean square.
+    With water w, steady part s and density of walk q: ``w <- s + k (w - s)``, ``k = exp(-dt / wander_time)``, plus
+    variance ``(1 - k^2) wander E s^2``; then ``q dt`` on both as one.  Walk and wandering are the wider the faster
+    the water is, of which the filter expects the mean square.
     """
-    square = 0.0
+    n, k, square = p.shape[0], np.exp(-dt / config.wander_time), 0.0
     for i in range(2):
-        square += 0.5 * (x[X_PARAMETERS + 12 + i] ** 2 + p[WATER + i, WATER + i])
+        square += 0.5 * (x[X_STEADY + i] ** 2 + p[STEADY + i, STEADY + i])
+    for i in range(2):
+        w, s, water, steady = WATER + i, STEADY + i, X_PARAMETERS + 12 + i, X_STEADY + i
+        x[water] = x[steady] + k * (x[water] - x[steady])
+        for j in range(n):
+            p[w, j] = k * p[w, j] + (1.0 - k) * p[s, j]
+        p[w, w] = k * p[w, w] + (1.0 - k) * p[w, s] + (1.0 - k * k) * config.wander * square
+        if p[s, s] < config.limit[12 + i]:
+            walked = (config.walk[12 + i] + config.water_share * square) * dt
+            p[s, s] += walked
+            p[w, s] += walked
+            p[w, w] += walked
+        for j in range(n):
+            p[j, w] = p[w, j]
+
+
+@inner_kernel
+def age(x: Array, p: Array, dt: float, config: Config, room: CovarianceScratch) -> None:
+    """Random walks of the parameters and decorrelation of sensors' and surface's own errors, in place."""
     for i in range(15):
-        if p[ACTUATION + i, ACTUATION + i] < config.limit[i]:
-            own = config.water_share * square if i == 12 or i == 13 else 0.0
-            p[ACTUATION + i, ACTUATION + i] += (config.walk[i] + own) * dt
+        if i != 12 and i != 13 and p[ACTUATION + i, ACTUATION + i] < config.limit[i]:
+            p[ACTUATION + i, ACTUATION + i] += config.walk[i] * dt
+    wander(x, p, dt, config)
     n, keep = p.shape[0], room.keep
     if room.aged[0] != dt:  # most steps are whole ones
         room.aged[0] = dt

@@ -1,9 +1,9 @@
 """Where everything is: the state, the error state, the motions and the measurements as the kernels see them.
 
 The state ``x`` is one flat array: position 3 (world) | rotation 9 (R_world_base, row-major) | velocity 6 |
-parameters 15 | deviation 5 | top layer's water 2.  The error state has position 3 (world), rotation 3 (body),
-velocity 6, angular actuation 3, damping 6, linear actuation 3, water velocity 3, deviation 5, top layer 2, then
-considered states of zero mean.
+parameters 15 | deviation 5 | steady water 2 | top layer's water 2.  The error state has position 3 (world), rotation 3
+(body), velocity 6, angular actuation 3, damping 6, linear actuation 3, water velocity 3, deviation 5, steady water 2,
+top layer 2, then considered states of zero mean.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ X_ROTATION: Final = 3
 X_VELOCITY: Final = 12
 X_PARAMETERS: Final = 18
 X_DEVIATION: Final = 33
-X_LAYER: Final = 38
-X_SIZE: Final = 40
+X_STEADY: Final = 38
+X_LAYER: Final = 40
+X_SIZE: Final = 42
 
 # the error state
 POSITION: Final = 0
@@ -36,18 +37,20 @@ VELOCITY: Final = 6
 ACTUATION: Final = 12  # angular; the 15 parameters start here
 DAMPING: Final = 15
 THRUST: Final = 21
-WATER: Final = 24
+WATER: Final = 24  # as it is now; it wanders about its steady part
 OWN: Final = 27  # from here on: errors of sensors and surface, which decorrelate to zero mean
 DEVIATION: Final = 27  # of yaw: constant, sine and cosine of the heading, sine and cosine of twice that [rad]
-LAYER: Final = 32  # water of the top layer less that below, east, north [m/s]
-LOSS: Final = 34  # considered: share of thrust lost at the surface
-TILT: Final = 35  # considered: of the compass about body x and y [rad]
-DEPTH: Final = 37  # considered: bias of depth [m]
-GPS: Final = 38  # considered: the correlated part of a fix, in units of its standard deviation
-SIZE_DEADRECK: Final = 38
-SIZE_REFERENCE: Final = 40
+STEADY: Final = 32  # what the water returns to, east, north [m/s]; it stays
+LAYER: Final = 34  # water of the top layer less that below, east, north [m/s]
+LOSS: Final = 36  # considered: share of thrust lost at the surface
+TILT: Final = 37  # considered: of the compass about body x and y [rad]
+DEPTH: Final = 39  # considered: bias of depth [m]
+GPS: Final = 40  # considered: the correlated part of a fix, in units of its standard deviation
+SIZE_DEADRECK: Final = 40
+SIZE_REFERENCE: Final = 42
 ESTIMATED_DEADRECK: Final = 15
-ESTIMATED_REFERENCE: Final = 34
+ESTIMATED_REFERENCE: Final = 36
+
 # the numbers of a predicted motion, in the order of its message
 M_PARAMETERS: Final = 18  # increment 3, rotation vector 3, velocity at start 6 and at end 6 come before
 M_ATTITUDE: Final = 33  # quaternion
@@ -138,9 +141,11 @@ class Config(NamedTuple):
     snapshot_ns: int
     walk: Array  # (15,) power spectral density of the parameters' random walks
     limit: Array  # (15,) variance above which the walk of a parameter stops
-    water_share: float  # spectral density of the water's walk over its mean square [1/s]
-    tau: Array  # (13,) correlation time of the states from OWN on [s]
-    variance: Array  # (13,) their stationary variance
+    water_share: float  # spectral density of the steady water's walk over its mean square [1/s]
+    wander: float  # variance of the water about its steady part over that part's mean square
+    wander_time: float  # s, correlation time of that
+    tau: Array  # (15,) correlation time of the states from OWN on [s]
+    variance: Array  # (15,) their stationary variance
     dip: float  # inclination of the earth's magnetic field [rad]
     wave_acceleration: float  # standard deviation at the surface [m/s^2]
     wave_depth: float  # depth over which it falls by e [m]

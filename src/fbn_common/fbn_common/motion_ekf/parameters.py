@@ -95,7 +95,7 @@ class SurfaceParameters:
     depth: float = param(0.2, "m", "depth above which thrust is lost", "dynamics.surface_depth")
     layer: float = param(0.1, "m/s", "standard deviation of the top layer's own motion", "3 % of 3 to 4 m/s of wind")
     layer_depth: float = param(0.7, "m", "depth over which that falls by e", "wind-driven layer of sheltered water")
-    layer_time_constant: float = param(1800.0, "s", "its correlation time", "wind: the layer follows within the hour")
+    layer_time_constant: float = param(600.0, "s", "its correlation time", "wind is called steady for ten minutes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +123,13 @@ class WalkParameters:
     thrust: float = param(0.003, "m/s^2", "per root hour", "1.5 % of terminal speed: battery, growth")
     water: float = param(0.01, "m/s", "per root hour, east and north, in still water", "seiches, density")
     water_share: float = param(
-        0.5, "-", "the same over the water's own speed, in addition", "tide of 12.4 h: 2 pi / 12.4 h, rms over rms"
+        0.25, "-", "the same over the water's own speed, in addition", "tide of 12.4 h: its change in a quarter of one"
     )
     water_limit: float = param(0.5, "m/s", "standard deviation at which the water's walk ends", "coastal")
+    wander: float = param(
+        0.2, "-", "standard deviation about that, over the water's own speed", "tidal channels and their eddies"
+    )
+    wander_time: float = param(900.0, "s", "its correlation time", "basins and large eddies: a quarter of an hour")
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +145,12 @@ class FilterParameters:
 
 
 def considered(compass: CompassParameters, depth: DepthParameters, surface: SurfaceParameters) -> tuple[Array, Array]:
-    """Correlation times [s] and stationary variances (13,) of the states from OWN on, the fix's own left at 1."""
+    """Correlation times [s] and stationary variances (15,) of the states from OWN on, the fix's own left at 1."""
     once, twice = compass.hard_iron, compass.soft_iron
     shares = np.array([1.0 - once - twice, once, once, twice, twice])  # sine and cosine together make a share
-    tau = [compass.time_constant] + [compass.iron_time_constant] * 4 + [surface.layer_time_constant] * 2
+    tau = [compass.time_constant] + [compass.iron_time_constant] * 4 + [np.inf] * 2 + [surface.layer_time_constant] * 2
     tau += [1e5] + [compass.tilt_time_constant] * 2 + [depth.time_constant, 1.0, 1.0]
-    variance = [*(shares * compass.deviation**2)] + [surface.layer**2] * 2
+    variance = [*(shares * compass.deviation**2)] + [0.0] * 2 + [surface.layer**2] * 2  # steady water: of the prior
     variance += [surface.loss**2] + [compass.tilt**2] * 2 + [depth.bias**2, 1.0, 1.0]
     return np.array(tau), np.maximum(variance, 1e-10)  # one switched off stays invertible
 
@@ -182,7 +186,8 @@ def config_of(p: FilterParameters, sensors: dict[Kind, SensorParameters], estima
     lever[Kind.DEPTH] = p.depth.position
     gate = quantile_table({kind: sensor.gate for kind, sensor in sensors.items()})
     return Config(
-        estimated, corrects, SNAPSHOT_NS, walk, limit, p.walk.water_share**2 / 3600.0, tau, variance,
+        estimated, corrects, SNAPSHOT_NS, walk, limit, p.walk.water_share**2 / 3600.0,
+        p.walk.wander**2, p.walk.wander_time, tau, variance,
         p.compass.dip, p.compass.wave_acceleration, p.compass.wave_depth, p.surface.depth, p.surface.layer_depth,
         p.depth.density_sigma / p.depth.bias, gate, lockout, lever, 1.0, 1.0, 1.0, True, 60.0,
     )  # fmt: skip

@@ -15,12 +15,14 @@ from fbn_common.motion_ekf.layout import (
     OWN,
     POSITION,
     ROTATION,
+    STEADY,
     TILT,
     VELOCITY,
     WATER,
     X_DEVIATION,
     X_PARAMETERS,
     X_SIZE,
+    X_STEADY,
     X_VELOCITY,
 )
 from fbn_common.motion_ekf.measure import deviation_waves
@@ -76,7 +78,8 @@ class FirstData:
             depth = depth_data(pressure, self.parameters.depth)
             depth[0] -= compass[6:9] @ np.array(self.parameters.depth.position)
         velocity = motions.rows.mean[(t0 // GRID_NS + 1) % len(motions.rows.stamp), 6:12]
-        state = first_state(t0, compass, depth, self.prior, velocity, xy[2], own, rows)
+        wander = self.parameters.walk.wander**2
+        state = first_state(t0, compass, depth, self.prior, velocity, xy[2], own, wander, rows)
         state.x[:2] = xy[:2]
         return state
 
@@ -89,12 +92,14 @@ def first_state(
     velocity: Array,
     xy_variance: float,
     own: Array,
+    wander: float,
     rows: int,
 ) -> State:
     """Attitude and z from the first measurements, with their errors correlated to the sensors' own.
 
     ``compass`` (18,) and ``depth`` (2,) as in the timeline (:mod:`fbn_common.motion_ekf.sensors`), depth already
-    that of the origin; ``own`` the stationary variances of the considered sensor states; ``rows`` of sensors.
+    that of the origin; ``own`` the stationary variances of the states from OWN on; ``wander`` as in the kernels'
+    numbers; ``rows`` of sensors.
     """
     size = OWN + len(own)
     x, p = np.zeros(X_SIZE), np.zeros((size, size))
@@ -105,6 +110,7 @@ def first_state(
     p[VELOCITY : VELOCITY + 6, VELOCITY : VELOCITY + 6] = np.diag(_VELOCITY_SIGMA**2)
     p[ACTUATION : WATER + 3, ACTUATION : WATER + 3] = prior.covariance + 1e-12 * np.eye(15)
     p[OWN:, OWN:] = np.diag(own)
+    _divide_water(x, p, wander)
     waves = deviation_waves(np.ascontiguousarray(r))
     h = np.column_stack(
         (np.eye(3)[:, :2], np.outer(r[2], waves))
@@ -120,6 +126,15 @@ def first_state(
         x[2], p[2, 2] = depth[0], depth[1] + p[DEPTH, DEPTH]
         p[2, DEPTH] = p[DEPTH, 2] = -p[DEPTH, DEPTH]
     return State(stamp_ns, x, p, fresh_sensors(rows))
+
+
+def _divide_water(x: Array, p: Array, wander: float) -> None:
+    """The water of the prior is a steady part, and the share of its variance by which it wanders about that."""
+    water, steady = slice(WATER, WATER + 2), slice(STEADY, STEADY + 2)
+    x[X_STEADY : X_STEADY + 2] = x[X_PARAMETERS + 12 : X_PARAMETERS + 14]
+    p[steady, :] = p[water, :] / (1.0 + wander)
+    p[:, steady] = p[steady, :].T
+    p[steady, steady] = p[water, water] / (1.0 + wander)
 
 
 def state_after_gap(state: State, stamp_ns: int, drift_speed: float) -> State:

@@ -37,7 +37,7 @@ def warm_up(config: Config, size: int, rows: int) -> None:
     prior = VehicleParameters(0, "map", _PARAMETERS, np.eye(15))
     compass = np.concatenate((np.eye(3).ravel(), 0.01 * np.eye(3).ravel()))
     own = config.variance[: size - OWN]
-    ekf.start(first_state(0, compass, np.array([0.0, 0.01]), prior, np.zeros(6), 1.0, own, rows))
+    ekf.start(first_state(0, compass, np.array([0.0, 0.01]), prior, np.zeros(6), 1.0, own, config.wander, rows))
     ekf.put_motions(*(standstill(i * GRID_NS) for i in range(6)))
     last = Kind.RANGE if size > SIZE_DEADRECK else Kind.CLIMB
     data = [compass, np.array([0.0, 0.01]), np.array([5.0, 0.01, 0.1, 0.0, 0.5]), np.array([0.0, 0.0, 1.0, 0.0, 1.0]),
