@@ -52,14 +52,15 @@ class Record:
 
 
 class Run(NamedTuple):
-    """Where a field is among a message's numbers: ``numbers[start:stop]``; a shape of None is a :class:`Pose`."""
+    """Where a field is among a message's numbers: ``numbers[start:stop]``; shape () is a single one, None a pose."""
 
     start: int
     stop: int
     shape: tuple[int, ...] | None
 
 
-def _layout(**shapes: tuple[int, ...] | None) -> dict[str, Run]:
+def laid_out(**shapes: tuple[int, ...] | None) -> dict[str, Run]:
+    """The runs of fields of these shapes, one after the other."""
     runs, stop = {}, 0
     for name, shape in shapes.items():
         start, stop = stop, stop + (7 if shape is None else prod(shape))
@@ -233,7 +234,7 @@ class PredictedMotion(Packed):
     """
 
     ros_type: ClassVar[str] = "fbn_msgs/msg/PredictedMotion"
-    layout: ClassVar[dict[str, Run]] = _layout(
+    layout: ClassVar[dict[str, Run]] = laid_out(
         increment=(3,), rotation=(3,), velocity_start=(6,), velocity_end=(6,), parameters=(15,), attitude_start=(4,),
         jacobian_velocity=(12, 6), jacobian_attitude=(12, 3), jacobian_parameters=(12, 15), noise=(12, 12),
     )  # fmt: skip
@@ -274,7 +275,7 @@ class Odometry(Packed):
     """Pose of ``child_frame_id`` in ``frame_id`` and body velocity; covariances in ROS order (fixed axes)."""
 
     ros_type: ClassVar[str] = "nav_msgs/msg/Odometry"
-    layout: ClassVar[dict[str, Run]] = _layout(
+    layout: ClassVar[dict[str, Run]] = laid_out(
         pose=None, pose_covariance=(6, 6), twist=(6,), twist_covariance=(6, 6)
     )  # fmt: skip
     frame_id: str

@@ -11,14 +11,22 @@ import re
 import struct
 import typing
 from collections.abc import Callable, Mapping
-from functools import reduce
 from math import isfinite
-from operator import mul
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from fbn_common.records import FluidPressure, Imu, Odometry, Packed, Pose, PoseWithCovarianceStamped, Record
+from fbn_common.records import (
+    FluidPressure,
+    Imu,
+    Odometry,
+    Packed,
+    Pose,
+    PoseWithCovarianceStamped,
+    Record,
+    Run,
+    laid_out,
+)
 from fbn_common.types import Array
 from fbn_ros.conversion import Malformed
 from fbn_ros.primitives import PREFIX, put_text, put_time, text_at, time_at
@@ -26,32 +34,21 @@ from fbn_ros.validation import NORM_TOLERANCE, QUATERNIONS, check, has_rules, is
 
 _NUMBERS = re.compile(r"double(?:\[(\d+)\])?")
 _POSE = "geometry_msgs/Pose"
-POSE_NUMBERS = 7  # position, quaternion
 
-Shape = tuple[int, ...] | None
 FieldTypes = Callable[[str], Mapping[str, str]]  # a type's fields, in order, as ROS writes their types
-
-
-class Run(NamedTuple):
-    """Where a field's numbers are in the run: ``numbers[start:stop]``; shape () is a single number, None a pose."""
-
-    name: str
-    start: int
-    stop: int
-    shape: Shape
 
 
 class Flat:
     """Serialising and reading one record type; see :func:`flat`."""
 
-    def __init__(self, kind: type[Any], lead: list[tuple[str, str]], runs: list[Run]) -> None:
+    def __init__(self, kind: type[Any], lead: list[tuple[str, str]], runs: dict[str, Run]) -> None:
         self.kind, self._lead, self._runs = kind, lead, runs
-        self._count = runs[-1].stop
+        self._count = max(run.stop for run in runs.values())
         self._packed = issubclass(kind, Packed)
         self._ruled = has_rules(kind)  # something may be absent: judged by its own rules
         self._framed = "frame_id" in {f.name for f in dataclasses.fields(kind)}
-        self._quaternions = [r.stop - 4 for r in runs if r.name in QUATERNIONS or r.shape is None]
-        self._variances = np.array([place for r in runs for place in _variances(r)], dtype=int)
+        self._quaternions = [r.stop - 4 for name, r in runs.items() if name in QUATERNIONS or r.shape is None]
+        self._variances = np.array([place for name, r in runs.items() for place in _variances(name, r)], dtype=int)
 
     def encode(self, record: Any) -> bytes:
         """The bytes of the record's message."""
@@ -68,7 +65,7 @@ class Flat:
         if self._packed:
             return PREFIX + bytes(body) + record.numbers.tobytes()
         numbers = np.empty(self._count)
-        for name, start, stop, shape in self._runs:
+        for name, (start, stop, shape) in self._runs.items():
             value = getattr(record, name)
             if isinstance(value, Pose):
                 numbers[start : start + 3], numbers[start + 3 : stop] = value.position, value.orientation
@@ -92,7 +89,7 @@ class Flat:
             return None
         if self._packed:
             return typing.cast(Record, self.kind.packed(numbers, **values))
-        for name, start, stop, shape in self._runs:
+        for name, (start, stop, shape) in self._runs.items():
             if shape is None:
                 values[name] = Pose(numbers[start : start + 3], numbers[start + 3 : stop])
             elif len(shape) == 2:
@@ -137,23 +134,20 @@ def _passes(record: Any) -> bool:
 # --- which types are flat ------------------------------------------------------------------------------------
 
 # Standard messages nest what their records hold side by side: record fields in the order of the message's numbers.
-_STANDARD: dict[type, tuple[list[tuple[str, str]], list[tuple[str, Shape]]]] = {
-    Odometry: (
-        [("child_frame_id", "string")],
-        [(name, run.shape) for name, run in Odometry.layout.items()],
-    ),
-    PoseWithCovarianceStamped: ([], [("pose", None), ("covariance", (6, 6))]),
-    FluidPressure: ([], [("fluid_pressure", ()), ("variance", ())]),
+_STANDARD: dict[type, tuple[list[tuple[str, str]], dict[str, Run]]] = {
+    Odometry: ([("child_frame_id", "string")], Odometry.layout),
+    PoseWithCovarianceStamped: ([], laid_out(pose=None, covariance=(6, 6))),
+    FluidPressure: ([], laid_out(fluid_pressure=(), variance=())),
     Imu: (
         [],
-        [
-            ("orientation", (4,)),
-            ("orientation_covariance", (3, 3)),
-            ("angular_velocity", (3,)),
-            ("angular_velocity_covariance", (3, 3)),
-            ("linear_acceleration", (3,)),
-            ("linear_acceleration_covariance", (3, 3)),
-        ],
+        laid_out(
+            orientation=(4,),
+            orientation_covariance=(3, 3),
+            angular_velocity=(3,),
+            angular_velocity_covariance=(3, 3),
+            linear_acceleration=(3,),
+            linear_acceleration_covariance=(3, 3),
+        ),
     ),
 }
 
@@ -161,11 +155,11 @@ _STANDARD: dict[type, tuple[list[tuple[str, str]], list[tuple[str, Shape]]]] = {
 def flat(kind: type[Any], field_types: FieldTypes) -> Flat | None:
     """The quick way for a record type; None if its message is not of that kind."""
     if kind in _STANDARD:
-        lead, shapes = _STANDARD[kind]
-        return Flat(kind, lead, _laid_out(shapes))
+        return Flat(kind, *_STANDARD[kind])
     if not kind.ros_type.startswith("fbn_msgs/"):
         return None
-    lead, shapes = [], []
+    lead: list[tuple[str, str]] = []
+    shapes: dict[str, tuple[int, ...] | None] = {}
     fields = {f.name: f for f in dataclasses.fields(kind)}
     for name, ros_type in list(field_types(kind.ros_type).items())[1:]:  # the header is first
         if ros_type == "builtin_interfaces/Time" and not shapes:
@@ -173,27 +167,18 @@ def flat(kind: type[Any], field_types: FieldTypes) -> Flat | None:
         elif ros_type == "string" and not shapes:
             lead.append((name, "string"))
         elif ros_type == _POSE:
-            shapes.append((name, None))
+            shapes[name] = None
         elif _NUMBERS.fullmatch(ros_type):
-            shapes.append((name, fields[name].metadata.get("shape", ())))
+            shapes[name] = fields[name].metadata.get("shape", ())
         else:
             return None
-    told = {"stamp_ns", "frame_id", *(name for name, _ in (*lead, *shapes))}
-    return Flat(kind, lead, _laid_out(shapes)) if shapes and fields.keys() <= told else None
+    told = {"stamp_ns", "frame_id", *(name for name, _ in lead), *shapes}
+    return Flat(kind, lead, laid_out(**shapes)) if shapes and fields.keys() <= told else None
 
 
-def _laid_out(shapes: list[tuple[str, Shape]]) -> list[Run]:
-    runs, start = [], 0
-    for name, shape in shapes:
-        stop = start + (POSE_NUMBERS if shape is None else reduce(mul, shape, 1))
-        runs.append(Run(name, start, stop, shape))
-        start = stop
-    return runs
-
-
-def _variances(run: Run) -> range:
+def _variances(name: str, run: Run) -> range:
     """Where a covariance's variances are: of (n, m), n < m, the matrix's own square stands last."""
-    if run.shape is None or len(run.shape) != 2 or not is_covariance(run.name):
+    if run.shape is None or len(run.shape) != 2 or not is_covariance(name):
         return range(0)
     n, m = run.shape
     return range(run.start + m - n, run.stop, m + 1)

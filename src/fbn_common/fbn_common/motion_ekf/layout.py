@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fbn_common.records import Odometry, PredictedMotion
 from fbn_common.types import Array
 
 IntArray = npt.NDArray[np.int64]
@@ -51,21 +52,23 @@ SIZE_REFERENCE: Final = 42
 ESTIMATED_DEADRECK: Final = 15
 ESTIMATED_REFERENCE: Final = 36
 
-# the numbers of a predicted motion, in the order of its message
-M_PARAMETERS: Final = 18  # increment 3, rotation vector 3, velocity at start 6 and at end 6 come before
-M_ATTITUDE: Final = 33  # quaternion
-M_BY_VELOCITY: Final = 37  # (12, 6)
-M_BY_ATTITUDE: Final = 109  # (12, 3)
-M_BY_PARAMETERS: Final = 145  # (12, 15)
-M_NOISE: Final = 325  # (12, 12)
-MOTION_SIZE: Final = 469
+# the numbers of a predicted motion: where its fields begin
+_MOTION = PredictedMotion.layout
+M_PARAMETERS: Final = _MOTION["parameters"].start  # increment, rotation vector, velocity at start and at end before
+M_ATTITUDE: Final = _MOTION["attitude_start"].start
+M_BY_VELOCITY: Final = _MOTION["jacobian_velocity"].start
+M_BY_ATTITUDE: Final = _MOTION["jacobian_attitude"].start
+M_BY_PARAMETERS: Final = _MOTION["jacobian_parameters"].start
+M_NOISE: Final = _MOTION["noise"].start
+MOTION_SIZE: Final = _MOTION["noise"].stop
 
-# the numbers of odometry, in the order of its message
-O_ORIENTATION: Final = 3  # quaternion; the position comes before
-O_POSE_COVARIANCE: Final = 7  # (6, 6)
-O_VELOCITY: Final = 43
-O_TWIST_COVARIANCE: Final = 49  # (6, 6)
-ODOMETRY_SIZE: Final = 85
+# the numbers of odometry
+_ODOMETRY = Odometry.layout
+O_ORIENTATION: Final = 3  # of the pose: the position comes before
+O_POSE_COVARIANCE: Final = _ODOMETRY["pose_covariance"].start
+O_VELOCITY: Final = _ODOMETRY["twist"].start
+O_TWIST_COVARIANCE: Final = _ODOMETRY["twist_covariance"].start
+ODOMETRY_SIZE: Final = _ODOMETRY["twist_covariance"].stop
 
 DATA_SIZE: Final = 18
 OUT_SIZE: Final = 10
